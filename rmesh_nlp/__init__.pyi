@@ -1,6 +1,7 @@
 """The public names: type checkers read them here, and ``__init__.py`` loads them from here on first use."""
 
 from rmesh_nlp import mpcc as mpcc
+from rmesh_nlp.api.checking import check as check
 from rmesh_nlp.api.results import Comparison as Comparison
 from rmesh_nlp.api.results import compare as compare
 from rmesh_nlp.api.results import plot as plot
@@ -37,6 +38,7 @@ from rmesh_nlp.problem import Relative as Relative
 from rmesh_nlp.problem import Shape as Shape
 from rmesh_nlp.problem import Traction as Traction
 from rmesh_nlp.problem import Units as Units
+from rmesh_nlp.problem import refined as refined
 from rmesh_nlp.problem import where as where
 from rmesh_nlp.solving.certify import certify as certify
 from rmesh_nlp.solving.driver import solve as solve

@@ -191,15 +191,17 @@ def new(
     mesh: Annotated[
         Path | None, Option(metavar="MESH", help="A mesh file whose names the problem has.")
     ] = None,
+    two_bodies: Annotated[bool, Option("--two-bodies", help="A problem of two bodies in contact.")] = False,
 ) -> None:
     """Write a commented template of a problem file, or of a study; it solves as it is.
 
     \b
     rmesh new my.toml
     rmesh new my.toml --mesh body.msh
+    rmesh new my.toml --two-bodies
     rmesh new --study study.toml
     """
-    load("cli.preparing").new(file, study, mesh)
+    load("cli.preparing").new(file, study, mesh, two_bodies)
 
 
 @app.command()

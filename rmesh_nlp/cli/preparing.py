@@ -10,11 +10,9 @@ import numpy as np
 from rich.console import Console
 from skfem import MeshTri
 
+from rmesh_nlp.api.checking import check as signs_of
 from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import check_target, notes
-from rmesh_nlp.contact.penetration import penetrations
-from rmesh_nlp.contact.setup_warnings import curve_warnings, penetration_warnings, setup_warnings
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import Rows, figure, rich_table
 from rmesh_nlp.errors import BadInputError, located, one_line
@@ -38,10 +36,11 @@ from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.study.study_file import is_study
 
 
-def new(path: Path, study: bool, mesh: Path | None = None) -> None:
+def new(path: Path, study: bool, mesh: Path | None = None, two_bodies: bool = False) -> None:
     """Write a commented template, of a mesh file if one is given; an existing file is never replaced."""
     name = safe_name(path.stem)
     values = {"name": name, "file": name + path.suffix} | ({} if mesh is None else _of_mesh(mesh, path))
+    values |= {"form": "two_bodies.toml"} if two_bodies and not study else {}
     text = template("rmesh_nlp.study" if study else "rmesh_nlp.io", **values)
     with path.open("x", encoding="utf-8") as file:
         file.write(text)
@@ -122,11 +121,7 @@ def _checked(path: Path, order: int | None) -> tuple[ContactProblem, Rows, list[
     with located(path):
         plan = Plan.of(problem, name, **asked)
         _ = plan.outer(plan.problem).at_start  # its objective is evaluated
-        model = ContactSolver(problem.at_design())
-        space, u = model.discretisation.space, model.displacement.values(model.given.u)
-        passing = penetrations(space, model.problem.mesh.p, u)
-        signs = *curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing)
-        return problem, rows, [warning.message for warning in signs]
+        return problem, rows, signs_of(problem)
 
 
 def advise(path: Path, order: int | None = None, json: bool = False) -> None:

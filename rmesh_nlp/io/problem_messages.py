@@ -110,16 +110,13 @@ def schema_errors(source: Source, error: ValidationError, file: type[BaseModel])
     """Pydantic's errors, one line each up to ``MOST``; ``file`` is the model of a whole file."""
     tables, errors = {"": file, **dict(_tables(file))}, error.errors()
     unknown = [item["loc"] for item in errors if item["type"] == "extra_forbidden"]
-    errors = [item for item in errors if item["type"] != "missing" or not _misspelt(item["loc"], unknown)]
+    for item in [item for item in errors if item["type"] == "missing"]:
+        *table, name = item["loc"]
+        if get_close_matches(str(name), [str(key) for *place, key in unknown if place == table]):
+            errors.remove(item)  # that is what the unknown key means
     lines = [_line(item, source, tables) for item in errors[:MOST]]
     rest = [f"and {len(errors) - MOST} more errors"] if len(errors) > MOST else []
     return ProblemFileError([f"{source.path}: {line}" for line in lines + rest])
-
-
-def _misspelt(place: Place, unknown: list[Place]) -> bool:
-    """Whether a key that is missing is meant by one that is not known."""
-    beside = [str(other[-1]) for other in unknown if other[:-1] == place[:-1]]
-    return bool(get_close_matches(str(place[-1]), beside))
 
 
 def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> str:

@@ -245,8 +245,11 @@ class ContactProblem(Shown, ProblemData):
                 rows.append((f"{label} on {c.boundary}", ", ".join(describe(v) for v in c.value)))
         for load in self.point_loads:
             rows.append((f"force at node {load.node}", ", ".join(figure(v) for v in load.force)))
-        contact = [f"{part.nodes.size} nodes {part.obstacle.in_words()}" for part in self.contact_sets]
-        return [*rows, ("contact", "; ".join(contact) or "none"), ("motion", self.motion.in_words())]
+        for part in self.contact_sets:
+            what = "pairs of nodes" if part.obstacle.other else "nodes"
+            rows.append(("contact", f"{part.nodes.size} {what} {part.obstacle.in_words()}"))
+        rows += [("contact", "none")] * (not self.contact_sets)
+        return [*rows, ("motion", self.motion.in_words())]
 
     @property
     def title(self) -> str:

@@ -9,7 +9,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.display import figure
+from rmesh_nlp.display import describe, figure
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.problem.coefficients import (
@@ -221,7 +221,7 @@ class Obstacle:
         the first, of a straight line or of a circle among the curves of the motion. The interference is in
         units of length; a negative one is a gap. Relocation moves both nodes of a pair alike.
         """
-        gap = partial(minus, interference) if callable(interference) else -interference
+        gap = partial(minus, interference) if callable(interference) else 0.0 - interference
         return cls(first, offset=gap, friction=friction, coulomb=coulomb, other=second)
 
     @classmethod
@@ -256,9 +256,10 @@ class Obstacle:
         normal = f"normal ({', '.join(figure(v) for v in self.normal)})"
         if self.level is not None:
             normal = "the normal of the curve at each undeformed node"
+        gap = [f"gap {describe(self.offset)}"] if self.other else []
         motions = ("pressed by", self.force), ("moved by", self.displacement)
         tool = [f"{how} ({', '.join(map(figure, vector))})" for how, vector in motions if vector]
-        return ", ".join([f"{where}, {normal}, {self.friction_law.in_words()}", *tool])
+        return ", ".join([f"{where}, {normal}, {self.friction_law.in_words()}", *gap, *tool])
 
     def direction(self, x: Expression, y: Expression) -> Expression:
         """Unit normal at a point as a CasADi column."""

@@ -7,6 +7,7 @@ nodes move. So a pair is an obstacle without a place of its own, whose gap depen
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,8 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.errors import Place, ProblemError, contradicting
-from rmesh_nlp.evaluation import Array, Index, largest_side
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, largest_side
+from rmesh_nlp.meshes.arrays import MeshRepairWarning
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
 from rmesh_nlp.meshes.interfaces import opened
@@ -47,7 +49,10 @@ def paired(
         if curve := curves.get(first, curves.get(second)):
             curves |= {first: curve, second: curve}
         nodes, others = matched(mesh, first, second, place)
-        p = np.array(mesh.p)
+        p, far = np.array(mesh.p), np.max(np.abs(mesh.p[:, others] - mesh.p[:, nodes]))
+        if far > ROUNDING * largest_side(p):
+            said = f"put the nodes of {second!r} on those of {first!r}, at most {far:.2g} away"
+            warnings.warn(said, MeshRepairWarning, stacklevel=4)
         p[:, others] = p[:, nodes]
         mesh = mesh if np.array_equal(p, mesh.p) else replace(mesh, doflocs=p)
         with contradicting(place):

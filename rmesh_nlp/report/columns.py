@@ -161,10 +161,6 @@ GAIN_OF_OBJECTIVE = Column("gain|[%]", lambda record: gain_of(*ends_of(record)),
 LEFT = Column("left on refined|meshes [%]", _left, ".3g")
 VIOLATION = Column("violation", _violation, ".1e")
 ENDS = of("objective_initial", "objective_value")
-ENERGIES = (
-    FORMULATION,
-    *of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
-)
 
 
 @dataclass(frozen=True)
@@ -278,7 +274,10 @@ KINDS = (
     ),
     Kind(
         "Energies by the rule of the problem",
-        ENERGIES,
+        (
+            FORMULATION,
+            *of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
+        ),
         "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
         "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
         "on the given mesh. rmesh reproduce examines each of the paper's values.",

@@ -87,6 +87,7 @@ def _draw(
 
 def _label_in_numbers(axis: Axes) -> None:
     """Labels 1, 2, 5, 10 where an axis spans few decades, and even ones where it spans less than one."""
+    axis.minorticks_off()
     low, high = axis.get_xlim()
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > SPREAD * low else MaxNLocator(5))
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -153,7 +154,6 @@ def profile_figure(chart: Chart, page: Page) -> Figure:
         at = np.concatenate([[low], np.maximum(profile.at, low), [high]])
         axis.step(at, profile(at), where="post", label=name, **{**pen_of(position), "marker": ""})
     axis.set(ylim=(None, 1.01), xlabel=chart.axis, ylabel="share of problems", xscale="log")
-    axis.minorticks_off()
     _label_in_numbers(axis)
     axis.grid(visible=True)
     add_legend(figure, [axis])
@@ -178,7 +178,6 @@ def bracket_figure(records: Records, page: Page) -> Figure:
         axis.plot(nodes, high, **{**look, "linestyle": "-"}, label=name)
         axis.plot(nodes, low, **{**look, "linestyle": "--"})
     axis.set(xscale="log", xlabel=size, ylabel="bounds of the least energy")
-    axis.minorticks_off()
     _label_in_numbers(axis)
     axis.legend()
     return figure
@@ -196,7 +195,6 @@ def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
             if "lower" in parts:
                 width = (parts["upper"] - parts["lower"]) / 2
                 axis.fill_between(at, parts["error"], width, color=pen["color"], alpha=0.15)
-        axis.minorticks_off()
         _label_in_numbers(axis)
         axis.set(xlabel=size, ylabel="error over value")
     add_legend(figure, figure.axes[:1])

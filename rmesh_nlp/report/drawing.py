@@ -218,7 +218,7 @@ def side_by_side(
             plotting.draw_mesh(column[1], body.moved(factor), body.triangles)
             draw_foundations(column[1], body, factor, linewidth=2.2)
             paired = any(not one.is_rigid for one in body.contacts)
-            with_u = " with its jump at pairs" if paired else " and gap" if body.near else ""
+            with_u = " with its jump at pairs" if paired else " and gap"
             scale = f", $u${with_u} × {factor:g}" if factor > 1 else ", true scale"
             column[1].set_title(f"deformed{scale}")
     if label:

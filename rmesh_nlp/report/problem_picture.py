@@ -65,7 +65,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         unit = bracketed(problem.units.length)
         axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
         heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
-        for one in (one for one in body.contacts if body.elastic and one not in body.near):
+        for one in (one for one in body.contacts if body.elastic and one.is_rigid and one not in body.near):
             heading += f"\nthe foundation of {one.name} is {one.distance:.3g} away, not drawn"
         axis.set_title(heading)
         style.add_legend(figure, [axis], "outside lower center")

@@ -55,13 +55,14 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
         q = outer.variables(positions(outer, start.mesh.p), design=start.design)
         with monitor.budget.during("build"):
             return outer.near(), q, f"solution of {start.formulation}"
-    nodes = positions(outer, start)
-    mesh_map, at = outer.discretisation.mesh_map, np.array([*outer.problem.start.values()])
-    reached = outer.nodes(mesh_map.clipped(mesh_map.q_of(nodes, at)))
-    far = np.linalg.norm(nodes - reached, axis=0)
+    nodes, free = positions(outer, start), outer.discretisation.mesh_map
+    q = free.clipped(free.q_of(nodes, np.array([*outer.problem.start.values()])))
+    far = np.max(np.abs(nodes - outer.nodes(q)), axis=0)
     if np.max(far) > SEVEN_DIGITS * largest_side(nodes):
-        said = f"start: node {np.argmax(far)} is {np.max(far):.3g} away from where it may be"
-        raise BadInputError(f"{said}, by its move limits and the boundary that it is on")
+        raise BadInputError(
+            f"start: node {np.argmax(far)} is {np.max(far):.3g} away from where its move limits and "
+            "the boundary that it is on let it be"
+        )
     return outer, outer.variables(nodes), "positions"
 
 

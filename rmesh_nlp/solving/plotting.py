@@ -164,8 +164,8 @@ def course(points: Array, length: str) -> tuple[str, Callable[[Array], Array]]:
     with suppress(BadInputError):  # too few points, or a line
         circle, size = fitted_circle(points), max(extent)
         centre = np.array(circle.centre)[:, None]
-        is_arc = np.ptp(np.hypot(*(points - centre))) <= STRAIGHT * size and circle.radius <= 2 * size
-        if is_arc and points.shape[1] >= FEWEST:
+        off = np.ptp(np.hypot(*(points - centre)))
+        if points.shape[1] >= FEWEST and off <= STRAIGHT * size and circle.radius <= 2 * size:
             x, y = np.round(centre[:, 0] / size, 4) * size + 0.0
             return f"angle about ({x:.3g}, {y:.3g}) [°]", lambda line: _angles(line - centre)
     x, y = points[:, 0]

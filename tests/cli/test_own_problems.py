@@ -69,10 +69,21 @@ def test_check_says_what_it_doubts(rmesh, block: Path) -> None:
     block.write_text(BLOCK.replace("[0, -10]", "[0, 10]").replace('left = "symmetry"', "left = [0, 0]"))
     said = rmesh("check block.toml --picture roles.pdf")
     assert said.code == 0
-    assert "doubt" in said.out
+    assert "with warnings: " in said.out
     assert "is its sign right?" in said.out
     assert Path("roles.pdf").stat().st_size > 10_000
     assert block.with_suffix(".png").stat().st_size > 10_000  # of the first check
+
+
+@pytest.mark.slow
+def test_template_of_two_bodies_is_in_order_and_solves(rmesh) -> None:
+    assert rmesh("new two.toml --two-bodies").code == 0
+    said = " ".join(rmesh("check two.toml").out.replace("│", " ").split())
+    assert "is in order" in said
+    assert "17 pairs of nodes on joint" in said
+    assert "not drawn" not in said
+    assert rmesh("solve two.toml --no-figures --out one").code == 0
+    assert record()["contact"]["joint"]["normal_force"] == pytest.approx(100, rel=1e-6)
 
 
 def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None:

@@ -87,6 +87,17 @@ def test_nodes_that_do_not_coincide_are_refused_with_their_distance() -> None:
         pressed(apart)
 
 
+def test_nodes_that_nearly_coincide_are_put_together_and_the_distance_is_told() -> None:
+    mesh = stacked()
+    p = np.array(mesh.p)
+    p[1, p.shape[1] // 2 :] += 1e-7
+    with pytest.warns(rm.meshes.MeshRepairWarning, match="on those of 'bottom-1', at most 1e-07 away"):
+        problem = pressed(MeshTri(p, mesh.t).with_boundaries(mesh.boundaries))
+    ((_, said),) = [row for row in problem.summary() if row[0] == "contact"]
+    assert said == "5 pairs of nodes on bottom-1 and top-0, normal (0, 1), no friction, gap 0"
+    assert rm.check(problem) == []
+
+
 def test_nodes_of_a_pair_are_not_merged_and_all_others_are() -> None:
     mesh = stacked()
     arrays = mesh.p.T, mesh.t.T, {name: mesh.facets[:, f].T for name, f in mesh.boundaries.items()}

@@ -112,7 +112,7 @@ def test_an_error_of_on_step_reaches_the_caller(formulation: Any, problem: Any) 
         ("start", "auto", "unknown start 'auto': choose from given, adaptive, cascade, fixed, joint"),
         ("start", np.zeros((2, 3)), "the start has 3 nodes, the problem 15"),
         ("tolerance", 2, "tolerance must be below 1, got 2"),
-        ("start", np.add(SMALL.mesh.p, [[0.0], [1.0]]), "start: node 0 is 1 away from where it may be"),
+        ("start", np.add(SMALL.mesh.p, [[0.0], [1.0]]), "start: node 0 is 1 away from where its move limits"),
         ("start", np.zeros(3), r"start must hold positions \(2, nodes\), got an array of shape \(3,\)"),
         ("start", np.full((2, 15), np.nan), "start: node 0 has no finite position"),
         ("start", SMALL, r"start must be a name, positions \(2, .* got Contact problem '6\.2'"),

@@ -23,6 +23,9 @@ PARTS = Path(__file__).parents[2] / "docs" / "parts"
         ("ball", {"contact": 5.8904e7}),
         ("seal", {"lower": 151.7, "upper": 151.7, "outer": 19.5}),
         ("press_fit", {"fit": 5.859 * 40 * np.pi * 19}),  # Lamé's pressure
+        ("rings", {"fit": 5.859375 * 10 * np.pi}),  # Lame: 0.0025 E / (20 (2.6 + 5/3)) on a quarter
+        ("lug", {"bore": 1459.0}),
+        ("laminate", {"crack": 7.45}),
     ],
 )
 def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) -> None:
@@ -31,3 +34,14 @@ def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) ->
     nodes, space = solver.problem.mesh.p, DisplacementSpace(solver.problem)
     found = contact_results(space, nodes, solver.system(nodes), solver.given)
     assert {on: result.normal_force for on, result in found.items()} == pytest.approx(forces, rel=0.02)
+
+
+def test_the_pin_presses_on_its_lug_with_half_of_what_pulls_it() -> None:
+    solution = rm.solve(rm.read_problem(PARTS / "lug.toml"), "fixed", audit=False)
+    assert solution.contact["bore"]["force_x"] == pytest.approx(-1000, rel=1e-4)
+    assert solution.contact["bore"]["peak_pressure"] == pytest.approx(104.65, rel=1e-3)
+
+
+def test_the_crack_of_the_laminate_slides() -> None:
+    contact = rm.solve(rm.read_problem(PARTS / "laminate.toml"), "fixed", audit=False).contact["crack"]
+    assert contact["tangential_force"] == pytest.approx(-0.3 * contact["normal_force"], rel=1e-3)

@@ -14,12 +14,12 @@ from rmesh_nlp.report.blocks import (
     label,
     names_of_solves,
 )
-from rmesh_nlp.report.columns import ENERGIES, KINDS, Column
+from rmesh_nlp.report.columns import KINDS, Column
 from support.reporting import designed, fixed_61, joint_61, joint_62
 
 OF = {kind.title: kind.columns for kind in KINDS}
 MAIN, COST, COMMON, ERRORS = OF[""], OF["Costs"], OF["Costs to a common level"], OF["Errors"]
-ENERGY, RESIDUAL, CERTIFICATE = ENERGIES, OF["Residuals"], OF["Certificates"]
+ENERGY, RESIDUAL, CERTIFICATE = OF["Energies by the rule of the problem"], OF["Residuals"], OF["Certificates"]
 
 
 def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
