@@ -19,5 +19,5 @@ def check(problem: ContactProblem) -> list[str]:
     model = ContactSolver(problem.at_design())
     space, u = model.discretisation.space, model.displacement.values(model.given.u)
     passing = penetrations(space, model.problem.mesh.p, u)
-    signs = *curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing)
-    return [warning.message for warning in signs]
+    signs = (*curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing))
+    return [sign.message for sign in signs]

@@ -13,6 +13,7 @@ from skfem import MeshTri
 from rmesh_nlp.api.checking import check as signs_of
 from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import check_target, notes
+from rmesh_nlp.contact.setup_warnings import curve_warnings
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import Rows, figure, rich_table
 from rmesh_nlp.errors import BadInputError, located, one_line
@@ -40,7 +41,8 @@ def new(path: Path, study: bool, mesh: Path | None = None, two_bodies: bool = Fa
     """Write a commented template, of a mesh file if one is given; an existing file is never replaced."""
     name = safe_name(path.stem)
     values = {"name": name, "file": name + path.suffix} | ({} if mesh is None else _of_mesh(mesh, path))
-    values |= {"form": "two_bodies.toml"} if two_bodies and not study else {}
+    if two_bodies:
+        values["form"] = "two_bodies.toml"
     text = template("rmesh_nlp.study" if study else "rmesh_nlp.io", **values)
     with path.open("x", encoding="utf-8") as file:
         file.write(text)
@@ -92,8 +94,8 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         return
     else:
         problem, rows, messages = _checked(path, order)
-        doubts = f"{len(messages)} doubt{'s' * (len(messages) > 1)}"
-        said = f"states a problem, with {doubts}" if messages else "is in order"
+        doubts = f"states a problem, with {len(messages)} doubt{'s' * (len(messages) > 1)}"
+        said = doubts if messages else "is in order"
         said = f"problem {problem.name!r} {said}"
     Console().print(rich_table(f"{path}: {said}", rows))
     for message in messages:

@@ -246,8 +246,8 @@ class ContactProblem(Shown, ProblemData):
         for load in self.point_loads:
             rows.append((f"force at node {load.node}", ", ".join(figure(v) for v in load.force)))
         for part in self.contact_sets:
-            what = "pairs of nodes" if part.obstacle.other else "nodes"
-            rows.append(("contact", f"{part.nodes.size} {what} {part.obstacle.in_words()}"))
+            count = f"{part.nodes.size} {'pairs of ' * bool(part.obstacle.other)}nodes"
+            rows.append(("contact", f"{count} {part.obstacle.in_words()}"))
         rows += [("contact", "none")] * (not self.contact_sets)
         return [*rows, ("motion", self.motion.in_words())]
 

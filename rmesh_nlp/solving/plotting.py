@@ -159,7 +159,7 @@ def course(points: Array, length: str) -> tuple[str, Callable[[Array], Array]]:
     """
     extent, unit = np.ptp(points, axis=1), bracketed(length)
     if np.min(extent) <= STRAIGHT * np.max(extent):
-        k = int(np.argmax(extent))
+        k = np.argmax(extent)
         return f"$x_{k + 1}${unit}", lambda line: line[k]
     with suppress(BadInputError):  # too few points, or a line
         circle, size = fitted_circle(points), max(extent)
