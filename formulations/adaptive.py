@@ -33,7 +33,7 @@ from rmesh_nlp.solving.formulation import Choice, Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Bounds, Step, Work
+from rmesh_nlp.solving.parts import Step, Work
 from rmesh_nlp.solving.summary import estimate_in_words
 
 BULK = 0.7
@@ -42,9 +42,6 @@ BULK = 0.7
 FIRST = 0.2
 """Part of the accuracy that the estimate on the first mesh must meet, which no other mesh confirms. Of 30
 random problems one stopped on its first mesh with an error of 1.3 times the accuracy."""
-
-GROWTH = 1.5
-"""Times as many nodes as of the last mesh that was certified, from which on another one is."""
 
 LARGEST = 20_000
 """Vertices of a mesh, beyond which no finer one is made."""
@@ -115,57 +112,62 @@ class Adaptive(Wrapper):
         wanted, meshes, sequence = self.asked(outer.problem), list[Any](), list[list[Estimate]]()
         told = of_contact(outer.problem, "resultant", "peak", "contact_length")
         every = tuple(dict.fromkeys(wanted + (ENERGY,) * self.guaranteed + told))
-        certified, proved = 0, dict[str, Bounds]()
+        # the square of the energy norm is twice an energy; of its bounds all of the width counts
+        energy = self.accuracy**2 / (1 + self.guaranteed)
+        parts = np.array([energy if text == ENERGY else self.accuracy for text in wanted])
         reached = Outcome(outer, np.zeros(outer.n), Status.STALLED)
 
         def refine() -> None:
-            nonlocal reached, certified, proved
-            outer = reached.outer
-            while reached.status is Status.STALLED:
+            nonlocal reached
+            outer, budget = reached.outer, monitor.budget
+            while True:
                 on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
-                monitor.work += Work(1, 1, (state := on.state).iterations)
-                if state.status is not Status.CONVERGED:
-                    raise NotCertifiableError(f"on {nodes} nodes: {state.status.message}")
+                budget.iterations = number
+                monitor.work += Work(1, 1, on.state.iterations)
                 sequence.append(estimates(on, every))
-                seconds = monitor.budget.elapsed
                 ends = dict(zip(every, map(ended, zip(*sequence, strict=True)), strict=True))
+                figures = {text: end.record() for text, end in ends.items()}
                 solved = Outcome(outer, np.zeros(outer.n), Status.STALLED, label="")
-                if self.guaranteed and nodes > GROWTH * certified:
-                    certified = nodes
-                    proved = dict(bounded(assess(outer, solved, relocates=False), wanted).bounds)
-                bounds = {text: of._asdict() for text, of in proved.items()}
-                figures = {text: {**bounds.get(text, {}), **end.record()} for text, end in ends.items()}
+                likely = [ends[text] for text in wanted]
+                allowed = np.maximum(parts * np.abs([end.value for end in likely]), 1e-300)
+                errors = np.array([end.error * end.converges / (1.0 if number else FIRST) for end in likely])
+                if self.guaranteed:
+                    errors = np.array([end.half for end in likely])
+                    if not 1 < np.max(errors / allowed) < LARGEST / nodes or budget.is_over():
+                        proved = bounded(assess(outer, solved, relocates=False), wanted, 0).bounds
+                        for i, text in enumerate(wanted):
+                            if text in proved:  # else it is given beforehand
+                                low, _, high, is_sure = proved[text]
+                                errors[i] = (high - low) / 2 if is_sure else np.inf
+                                figures[text] = {**proved[text]._asdict(), **figures[text]}
+                excess = errors / allowed
+                worst, seconds = np.max(excess), budget.elapsed
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
                 reached = solved.having({"estimates": figures, "meshes": meshes})
                 each = (f"{text} {estimate_in_words(figures[text])}" for text in wanted)
                 said = ", ".join([f"{nodes} nodes", *each])
-                monitor.note(Step(number, state.energy, 0.0, 0.0, np.nan, number + 1, seconds, said=said))
-                lacking = [
-                    self._lacking(text, ends[text], proved.get(text), 1.0 if number else FIRST)
-                    for text in wanted
-                ]
-                local, excess = sum(lacking, np.zeros(1)), max(map(np.sum, lacking))
-                if proved and excess:
-                    local = ends[ENERGY].local  # bounds narrow with the gap
-                    if number and nodes == certified > LARGEST / excess:
-                        raise NotCertifiableError(
-                            f"guaranteed bounds are {excess:.3g} times too wide on {certified} nodes (1e+09: "
-                            f"not guaranteed), and narrow about like 1 / nodes: {LARGEST} would not suffice"
-                        )
-                if not excess:
+                monitor.note(Step(number, on.state.energy, 0.0, 0.0, np.nan, number + 1, seconds, said=said))
+                if worst <= 1:
                     if grow := [text for text in wanted if not ends[text].converges]:
                         raise NotCertifiableError(f"{grow[0]} has no limit on finer meshes")
                     reached = replace(reached, status=Status.CONVERGED)
-                monitor.budget.check()
-                if excess:
-                    with monitor.budget.during("build"):
-                        order = np.argsort(-local, kind="stable")
-                        share = np.cumsum(local[order])
-                        most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
-                        finer = locally_refined(outer.problem, most)
-                        if finer.mesh.p.shape[1] > LARGEST:
-                            raise NotCertifiableError(f"a finer mesh has more than {LARGEST} nodes")
-                        outer = Outer.of(finer, outer.objective, outer.tolerance)
+                    return
+                budget.check()
+                with budget.during("build"):
+                    local = [ends[ENERGY if self.guaranteed else text].local for text in wanted]
+                    weights = np.where(excess <= 1, 0.0, np.fmax(np.minimum(excess, 1e9), 1.0))
+                    adds = weights / np.maximum(np.sum(local, axis=1), 1e-300) @ local
+                    order = np.argsort(-adds, kind="stable")
+                    share = np.cumsum(adds[order])
+                    most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
+                    finer = locally_refined(outer.problem, most)
+                    narrowing = nodes * worst if self.guaranteed and number > 1 else 0  # about like 1 / nodes
+                    if max(narrowing, finer.mesh.p.shape[1]) > LARGEST:
+                        raise NotCertifiableError(
+                            f"on {nodes} nodes the error, or half the width of bounds, is {worst:.3g} times "
+                            f"too large (inf: not guaranteed), and {LARGEST} nodes would not suffice"
+                        )
+                    outer = Outer.of(finer, outer.objective, outer.tolerance)
 
         try:
             monitor.attempt(refine)
@@ -175,18 +177,3 @@ class Adaptive(Wrapper):
             return monitor.run(self.inner, reached.outer, reached.q).having({"meshes": meshes})
         lacks = f"The accuracy {self.accuracy:g} was not reached." * (reached.status is Status.STALLED)
         return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)
-
-    def _lacking(self, text: str, end: Estimate, bounds: Bounds | None, part: float) -> Array:
-        """(elements,) indicators of a quantity whose error is above a part of the accuracy; else zero.
-
-        Their sum is the error over that part.
-        """
-        # the square of the energy norm is twice an energy
-        limit, error = abs(end.value) * self.accuracy ** (2 if text == ENERGY else 1), end.error / part
-        if bounds is not None:
-            width = (bounds.upper - bounds.lower) / (1 if text == ENERGY else 2)
-            error = width if bounds.guaranteed else np.inf
-        if error <= limit or not end.converges:
-            return np.zeros(end.local.size)
-        share = end.local / max(np.sum(end.local), 1e-300)
-        return share * np.clip(np.nan_to_num(error / max(limit, 1e-300)), 1.0, 1e9)

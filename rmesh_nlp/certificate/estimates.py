@@ -81,7 +81,8 @@ class Estimate(NamedTuple):
     """A quantity: its best known value, the estimated error, and the computed value.
 
     The value is a corrected one where there is a correction, the error, of the computed value, NaN where it
-    takes another mesh. ``local`` (elements,) is what each element adds to it, up to a common factor.
+    takes another mesh. ``local`` (elements,) is what each element adds to it, up to a common factor. ``half``
+    is about half the width of guaranteed bounds, NaN where none are known.
     """
 
     value: float
@@ -89,10 +90,11 @@ class Estimate(NamedTuple):
     computed: float
     local: Array
     converges: bool = True
+    half: float = np.nan
 
     def record(self) -> Values:
-        """Without what elements add."""
-        return {name: value for name, value in self._asdict().items() if name != "local"}
+        """What is told of it."""
+        return {name: getattr(self, name) for name in ("value", "error", "computed", "converges")}
 
 
 def ended(sequence: Sequence[Estimate]) -> Estimate:
@@ -124,8 +126,10 @@ class OnMesh:
 
     @classmethod
     def of(cls, solver: ContactSolver) -> OnMesh:
-        """The mesh of a solver as given."""
-        problem, nodes = solver.problem, solver.problem.mesh.p
+        """The mesh of a solver as given; a NotCertifiableError where contact is not solved."""
+        problem, nodes, status = solver.problem, solver.problem.mesh.p, solver.given.status
+        if status is not Status.CONVERGED:
+            raise NotCertifiableError(f"on {nodes.shape[1]} nodes: {status.message}")
         return cls(problem, nodes, solver.displacement, solver.system(nodes), solver.given)
 
     @cached_property
@@ -248,7 +252,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     assembled, system, solved = balance.assembled, balance.assembled.system, balance.solved
     if solved.status is not Status.CONVERGED:
         raise NotCertifiableError("the contact problem of the traces was not solved")
-    free = ~assembled.held
+    free, gained = ~assembled.held, float(np.sum(defect**2)) / 2
 
     def gaps(u: Array) -> Array:
         return system.normals @ assembled.of_displacement(u)[free]
@@ -256,9 +260,9 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     def estimate(text: str) -> Estimate:
         computed, w, load, part, weights = _quantity(text, on)
         if load is None and part is None:
-            lacking = float(np.sum(defect**2)) / 2 if text == ENERGY else np.nan
+            lacking = gained if text == ENERGY else np.nan
             above = np.nan_to_num(lacking) if problem.has_energy else 0.0  # then no energy is least
-            return Estimate(computed - above, lacking, computed, defect**2)
+            return Estimate(computed - above, lacking, computed, defect**2, half=lacking / 2)
         push, gap, end = np.zeros(system.load.size), np.zeros(system.offset.size), 0.0
         if load is not None:
             push = turned(assembled.turn, load.balanced * skeleton.lengths)[free]
@@ -270,7 +274,8 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         traces = np.zeros(free.size)
         traces[free] = system.response(solved.active, push, gap)
         other = fields.of_traces(balance.traces + assembled.by_element(traces)) - correction
-        other -= of_displacement(fields.element, fields.law, skeleton, w)
+        own = of_displacement(fields.element, fields.law, skeleton, w)
+        other -= own
         pressing = system.normals @ (system.stiffness @ traces[free] - push)
         closing = float(pressing @ np.where(solved.active.touching, system.offset, 0.0))  # computed gaps
         if part is None:
@@ -284,7 +289,9 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             if slip.size:
                 value += float((solved.tangential_force + follows) @ slip) + on.work_of_bounds(w)
         local = defect * np.sqrt(fields.energy(other))
-        return Estimate(value, max(abs(value - computed), end), computed, local)
+        # by the best s of :func:`rmesh_nlp.certificate.forces.slope_bounds`
+        half = 2 * np.sqrt(gained * np.sum(fields.energy(own))) if problem.has_energy else np.nan
+        return Estimate(value, max(abs(value - computed), end), computed, local, half=half)
 
     return [estimate(text) for text in texts]
 
@@ -296,8 +303,6 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     raised = replace(problem, mesh=mesh, reference=None, order=2)
     richer = raised if problem.order == 1 else refined(raised)
     finer = OnMesh.of(ContactSolver(richer))
-    if finer.state.status is not Status.CONVERGED:
-        raise NotCertifiableError("contact was not solved by richer displacements")
 
     def norms(fine: Array, coarse: Array) -> Array:
         # vertices of the mesh refined once are the nodes of order 2

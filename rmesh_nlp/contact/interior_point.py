@@ -4,22 +4,26 @@ Contact with friction bounds b is a convex quadratic program in x = (u, s), s th
 
     min 1/2 u^T K u - F^T u + b^T s   with   y = (N u + gamma, s - T u, s + T u) >= 0.
 
-Mehrotra's predictor and corrector [1]_ solves it whatever the signs of the entries of K. The matrix of a step
-is ``K + G^T diag(z / y) G``, with multipliers z >= 0 of ``y = G x + h``. Slips are eliminated from it, so
-that it keeps its pattern.
+Mehrotra's predictor and corrector [1]_ solves it whatever the signs of the entries of K, corrected further
+where that lengthens the step [2]_. The matrix of a step is ``K + G^T diag(z / y) G``, with multipliers z >= 0
+of ``y = G x + h``. Slips are eliminated from it, so that it keeps its pattern.
 
 .. [1] S. Mehrotra, On the implementation of a primal-dual interior point method, SIAM J. Optim. 2 (1992)
    575-601.
+.. [2] T. J. Carpenter, I. J. Lustig, J. M. Mulvey, D. F. Shanno, Higher-order predictor-corrector interior
+   point methods with application to quadratic objectives, SIAM J. Optim. 3 (1993) 696-725.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
@@ -32,24 +36,23 @@ def interior_point(system: ContactSystem, start: Equilibrium) -> Iterator[tuple[
     Nodes touch where the force is larger than the gap, in units of the stiffness there, and stick where both
     multipliers of a slip are. The sets end when products of forces and gaps are too small for a number.
     """
-    bound, gaps = system.slip_bound, system.offset.size
+    bound = system.slip_bound
     slides = np.flatnonzero(system.rotated.slips & (bound > 0)) if bound.size else np.zeros(0, np.int64)
     rows = system.normals, system.tangents[slides]
     program = BarrierProgram(system.stiffness, system.load, *rows, bound[slides], lambda _: system.offset)
-    _, below, above = (values[slides] for values in system.friction(start))
-    first = np.abs(np.concatenate([start.normal_force, below, above]))
-    for _, y, z in program.steps(start.u, first):
-        touching, forward, backward = np.split(z > program.unit * y, [gaps, gaps + slides.size])
+    for _, y, z in program.steps(start.u, start.normal_force):
+        touching, forward, backward = program.split(z > program.unit * y)
         sliding = np.zeros(bound.size, dtype=np.int8)
         sliding[slides] = forward.astype(np.int8) - backward
-        yield ActiveSet(touching, sliding), z[:gaps]
+        yield ActiveSet(touching, sliding), program.split(z)[0]
 
 
 STEPS = 60
 """Most steps to a displacement of least energy; 12 to 30 are usual."""
 
 
-class BarrierProgram(NamedTuple):
+@dataclass(frozen=True)
+class BarrierProgram:
     """The program for unknowns u (m,); the gap at zero displacement, gamma, may depend on u a little."""
 
     stiffness: sp.csc_array
@@ -59,31 +62,35 @@ class BarrierProgram(NamedTuple):
     bound: Array
     offset: Callable[[Array], Array]
 
-    @property
+    @cached_property
     def unit(self) -> Array:
         """Stiffness of each member of y; tools, which have none, count like the body at its stiffest."""
-        rows, stiffness = sp.vstack([self.normals, self.tangents, self.tangents]), self.stiffness.diagonal()
+        rows, stiffness = sp.vstack([self._rows, self.tangents]), self.stiffness.diagonal()
         most = np.max(stiffness, initial=0.0)
         return abs(rows) @ np.where(stiffness > 0, stiffness, most)
+
+    @cached_property
+    def _rows(self) -> sp.csr_array:
+        """N, then T."""
+        return sp.vstack([self.normals, self.tangents], "csr")
 
     def minimised(self, u: Array) -> Array:
         """The unknowns of least energy, up to ``PROVED`` of it, from u on."""
         best, least, small = u, np.inf, PROVED * float(u @ (self.stiffness @ u))
-        first = np.concatenate([np.zeros(self.normals.shape[0]), *[self.bound / 2] * 2])
-        for x, y, z in islice(self.steps(u, first), STEPS):
+        for x, y, z in islice(self.steps(u, np.zeros(self.normals.shape[0])), STEPS):
             if y @ z < least:
                 best, least = x, float(y @ z)
             if least <= small:
                 break
         return best
 
-    def steps(self, u: Array, z: Array) -> Iterator[tuple[Array, Array, Array]]:
-        """Unknowns u, y and z after each step, from u and from about these multipliers.
+    def steps(self, u: Array, normal: Array) -> Iterator[tuple[Array, ...]]:
+        """Unknowns u, y and z after each step, from u and from about these contact forces.
 
         They end where products of y and z are too small for a number, or no gap prevents some rigid motion.
         """
         s, unit = np.abs(self.tangents @ u), np.sqrt(self.unit)
-        y = self._members(u, s)
+        y, z = self._members(u, s), np.concatenate([np.abs(normal), self.bound / 2, self.bound / 2])
         inside = np.mean(np.abs(y) * unit + z / unit)  # the same whatever the units of single unknowns
         y, z = np.abs(y) + inside / unit, z + inside * unit
         while np.all(y * z > 0) and is_finite(z / y):
@@ -94,47 +101,46 @@ class BarrierProgram(NamedTuple):
             yield u, y, z
 
     def _members(self, u: Array, s: Array) -> Array:
+        return self._changes(u, s) + np.append(self.offset(u), np.zeros(2 * s.size))
+
+    def _changes(self, u: Array, s: Array) -> Array:
+        """``G x``."""
         slip = self.tangents @ u
-        return np.concatenate([self.normals @ u + self.offset(u), s - slip, s + slip])
+        return np.concatenate([self.normals @ u, s - slip, s + slip])
 
-    def _pulls(self, z: Array) -> tuple[Array, Array]:
-        """What multipliers do to u and s: ``G^T z``."""
-        normal, below, above = np.split(z, self._parts)
-        return self.normals.T @ normal + self.tangents.T @ (above - below), below + above
-
-    @property
-    def _parts(self) -> list[int]:
+    def split(self, of_members: NDArray) -> list[NDArray]:
+        """Those of gaps, and of slips below and above."""
         gaps = self.normals.shape[0]
-        return [gaps, gaps + self.bound.size]
+        return np.split(of_members, [gaps, gaps + self.bound.size])
 
-    def _step(self, u: Array, s: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Array]:
-        """A predictor and a corrector."""
-        N, T, (pull, held) = self.normals, self.tangents, self._pulls(z)
-        unbalanced, apart = self.stiffness @ u - self.load - pull, self._members(u, s) - y
-        normal, below, above = np.split(z / y, self._parts)
+    def _step(self, u: Array, s: Array, y: Array, z: Array) -> tuple[Array, ...]:
+        """A predictor and correctors."""
+        apart = self._members(u, s) - y
+        normal, below, above = self.split(z / y)
         both, turn = below + above, (above - below) / (below + above)
-        springs = N.T @ sp.diags_array(normal) @ N
-        springs += T.T @ sp.diags_array(4 * below * above / np.maximum(both, 1e-300)) @ T
-        solve = factorised(sp.csc_array(self.stiffness + springs))
+        springs = np.append(normal, 4 * below * above / np.maximum(both, 1e-300))
+        solve = factorised(self.stiffness + self._rows.T @ (sp.diags_array(springs) @ self._rows))
+        residual = self.stiffness @ u - self.load
 
-        def newton(change: Array) -> tuple[Array, Array, Array, Array]:
+        def newton(change: Array) -> tuple[Array, ...]:
             """The step that changes the products y z, to first order."""
-            on_u, on_s = self._pulls((change - z * apart) / y)
-            on_s = on_s + held - self.bound
-            du = solve(on_u - unbalanced - T.T @ (turn * on_s))
-            slip = T @ du
+            normal, below, above = self.split(z + (change - z * apart) / y)
+            on_s = below + above - self.bound
+            du = solve(self._rows.T @ np.append(normal, above - below - turn * on_s) - residual)
+            slip = self.tangents @ du
             ds = on_s / both - turn * slip
-            dy = np.concatenate([N @ du, ds - slip, ds + slip]) + apart
+            dy = self._changes(du, ds) + apart
             return du, ds, dy, (change - z * dy) / y
 
-        def taken(dy: Array, dz: Array, most: float) -> float:
+        def taken(step: tuple[Array, ...], most: float = 1.0) -> float:
             """The part of a step, at most one, that goes ``most`` of the way to where y or z vanishes."""
-            return most / max(most, np.max(-dy / y), np.max(-dz / z))
+            return most / max(most, np.max(-step[2] / y), np.max(-step[3] / z))
 
-        *_, dy, dz = newton(-y * z)
-        part, mean = taken(dy, dz, 1.0), np.mean(y * z)
-        ahead = np.mean((y + part * dy) * (z + part * dz))
-        centred = ahead * (ahead / mean) ** 2
-        du, ds, dy, dz = newton(centred - dy * dz - y * z)
-        part = taken(dy, dz, 0.995)
-        return u + part * du, s + part * ds, y + part * dy, z + part * dz
+        step = newton(-y * z)
+        part = taken(step)
+        ahead = np.mean((y + part * step[2]) * (z + part * step[3]))
+        centred = ahead * (ahead / np.mean(y * z)) ** 2
+        for number in range(3):
+            other = newton(centred - step[2] * step[3] - y * z)
+            step = max(step, other, key=taken) if number else other
+        return tuple(x + taken(step, 0.995) * by for x, by in zip((u, s, y, z), step, strict=True))

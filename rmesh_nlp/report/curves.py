@@ -184,7 +184,7 @@ def bracket_figure(records: Records, page: Page) -> Figure:
 
 
 def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
-    """Relative errors of quantities against nodes and seconds, with bands up to half the width of bounds."""
+    """Relative errors of quantities against nodes and seconds, with bars up to half the width of bounds."""
     figure = new_figure(page.width, 2.8)
     for axis, size in zip(figure.subplots(1, 2, sharey=True), ("nodes", "seconds"), strict=True):
         at = [mesh[size] for mesh in meshes]
@@ -194,7 +194,8 @@ def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
             axis.loglog(at, parts["error"], **pen, label=text)
             if "lower" in parts:
                 width = (parts["upper"] - parts["lower"]) / 2
-                axis.fill_between(at, parts["error"], width, color=pen["color"], alpha=0.15)
+                axis.vlines(at, parts["error"], width, color=pen["color"], alpha=0.5)
+        axis.minorticks_off()
         _label_in_numbers(axis)
         axis.set(xlabel=size, ylabel="error over value")
     add_legend(figure, figure.axes[:1])

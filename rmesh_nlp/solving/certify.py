@@ -198,7 +198,7 @@ def _load_bounds(
     """Bounds of the work of a load on the exact solution; ``under`` is the problem with s times that load."""
     parts, nodes, field = exact.parts, exact.body.nodes, exact.parts.displacement
     body = Body(under(1.0), nodes)
-    push = load_vector(body, DisplacementSpace(body.problem))[0] - load_vector(exact.body, parts.space)[0]
+    push = load_vector(body, DisplacementSpace(body.problem))[0] - exact.continuous.load
     free, u = field.index.T.ravel() >= 0, exact.displacement.T.ravel()
 
     def moved(s: float) -> ContactSystem:

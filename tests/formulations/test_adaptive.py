@@ -6,12 +6,12 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from formulations.adaptive import Adaptive
 from rmesh_nlp.certificate.estimates import Estimate
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
@@ -129,7 +129,7 @@ def test_meshes_are_drawn_compared_and_shown_as_they_come(body: rm.ContactProble
     ]
     axis, seconds = estimates_figure(rows[1]["meshes"], Page()).axes
     assert (axis.get_xlabel(), seconds.get_xlabel()) == ("nodes", "seconds")
-    assert len(axis.collections) == 1  # the band of the one force
+    assert len(axis.collections) == 1  # the bars of the one force
     cells = estimate_rows(rows)
     assert [row[3] for row in cells if "88." in row[5]] == ["resultant(bottom)"] * 2
     assert not estimate_rows(rows[:1])
@@ -144,12 +144,14 @@ def test_order_of_the_file_is_kept(tmp_path: Path, body: rm.ContactProblem) -> N
 
 
 @pytest.mark.slow
-def test_only_meshes_whose_bounds_may_suffice_are_certified(body: rm.ContactProblem) -> None:
-    solution = rm.solve(body, accuracy=0.02, guaranteed=True)
-    lower = [mesh["quantities"]["resultant(bottom)"]["lower"] for mesh in solution.details["meshes"]]
-    assert solution.status is rm.Status.CONVERGED
-    assert len(set(lower)) < len(lower)
-    assert lower[-1] > lower[0]
+@pytest.mark.parametrize("limits", [{}, {"iterations": 1}])
+def test_last_mesh_is_certified_and_not_the_first(body: rm.ContactProblem, limits: dict[str, int]) -> None:
+    solution = rm.solve(body, accuracy=0.02, guaranteed=True, limits=limits)
+    meshes = [mesh["quantities"]["resultant(bottom)"] for mesh in solution.details["meshes"]]
+    assert solution.success != bool(limits)
+    assert len(meshes) > 1
+    assert "lower" not in meshes[0]
+    assert meshes[-1]["lower"] <= FORCE <= meshes[-1]["upper"]
 
 
 @pytest.mark.slow
@@ -159,10 +161,13 @@ def test_bounds_that_stay_wide_end_the_refinement(body: rm.ContactProblem) -> No
     assert "would not suffice" in solution.details["estimates_remark"]
 
 
-def test_bounds_that_are_not_guaranteed_do_not_count() -> None:
-    one, force = Adaptive(accuracy=0.1), Estimate(1.0, 0.0, 1.0, np.ones(3))
-    assert not one._lacking("resultant(a)", force, Bounds(0.99, 1.0, 1.01, True), 1.0).any()
-    assert one._lacking("resultant(a)", force, Bounds(0.99, 1.0, 1.01, False), 1.0).any()
+def test_bounds_that_are_not_guaranteed_do_not_count(body: rm.ContactProblem) -> None:
+    unsure = SimpleNamespace(bounds={"resultant(bottom)": Bounds(FORCE, FORCE, FORCE, False)})
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("formulations.adaptive.bounded", lambda *_: unsure)
+        solution = rm.solve(body, accuracy=0.5, guaranteed=True)
+    assert solution.status is rm.Status.STALLED
+    assert "not guaranteed" in solution.details["estimates_remark"]
 
 
 def test_force_that_follows_from_the_load_takes_one_mesh(tmp_path: Path) -> None:
