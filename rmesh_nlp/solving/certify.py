@@ -22,7 +22,7 @@ from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.errors import BadInputError, expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.expressions import Expression
-from rmesh_nlp.fem.contact_pressure import contact_stresses
+from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -128,7 +128,8 @@ def bounded(
     bounds = dict[str, Bounds]()
     for text, part, weight in windows:
         if part.rows.size:  # not every gap is given
-            value = float(final.equilibrium.normal_force[part.rows] @ exact.continuous.at_gaps(part, weight))
+            (force,) = nodal_forces(space, nodes, part, final.equilibrium.normal_force)
+            value = float(force @ exact.continuous.at_nodes(weight))
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
             bounds[text] = Bounds(low, value, high, is_known)

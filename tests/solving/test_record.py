@@ -37,6 +37,7 @@ from rmesh_nlp.solving.summary import contact_rows, summary
 from rmesh_nlp.solving.verification import TaylorTest, error_terms, verify_gradient
 from rmesh_nlp.study.progress import summary as one_line
 from support.conclusions import compared, with_energies
+from support.contact_geometry import block_between_two_foundations
 from support.designs import BOW, LIMITED, E, block, largest_mean
 from support.formulations import fixed, nested
 from support.orders import ORDERS
@@ -269,7 +270,8 @@ def test_contact_results_have_the_units_of_the_problem() -> None:
     assert labels("6.1")[0] == "contact: normal force"  # as in its figures
 
 
-def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure(solution: Solution) -> None:
+def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure() -> None:
+    solution = fixed.solve(block_between_two_foundations(1))
     both = {"a": ContactResult(1.0, 2.0, 3.0, 4.0), "b": ContactResult(5.0, 6.0, 1.0, 8.0)}
 
     def found(contact: dict[str, ContactResult]) -> list[Any]:

@@ -36,10 +36,11 @@ def test_a_file_is_solved_on_uniform_refinements_too(file, monkeypatch):
 
 
 DESIGN = "[design]\nE = { start = 1.0, bounds = [0.5, 2.0] }\n\n[materials.hard]"
+DESIGNED = VALID.replace("[materials.hard]", DESIGN).replace("young = 2.2e4", 'young = "2.2e4*E"')
 
 
 def test_a_file_is_compared_by_its_own_objective(file):
-    text = VALID.replace("[materials.hard]", DESIGN)
+    text = DESIGNED
     Path(file).write_text(text + 'objective = "area"\n')
     plan = plan_comparison([file, "6.2"], ["fixed", "nested"])
     assert [one.options.get("objective") for one in plan] == ["area", "area", None, None]  # no refinements
@@ -65,7 +66,7 @@ COULOMB = VALID.replace("friction =", "coulomb =")
         (VALID, {}, ["fixed", "nested", "joint", "mpcc"]),
         (COULOMB, {}, ["fixed"]),
         (COULOMB, {"objective": ["energy", "area"]}, ["fixed", "fixed", "nested", "mpcc"]),
-        (VALID.replace("[materials.hard]", DESIGN), {}, ["fixed"]),
+        (DESIGNED, {}, ["fixed"]),
     ],
 )
 def test_by_default_formulations_are_compared_that_take_the_problem(file, text, options, able):
