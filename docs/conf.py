@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ extensions = [
 ]
 katex_css_path = "katex-math.css"  # a copy, and MathML without fonts: pages need no network
 katex_options = 'output: "mathml"'
+katex_prerender = shutil.which("node") is not None  # else the browser does it, by a copy of the script
 BELOW = {
     "index": ["getting_started", "theory", "howto", "api", "results"],
     "howto": [
