@@ -292,7 +292,7 @@ class Obstacle:
 
     @property
     def clearance(self) -> Coefficient:
-        """The same as a coefficient."""
+        """The gap without displacement, as a coefficient."""
         if self.level is None and self.displacement is None:
             return self.offset
         if self.level is None and is_number(self.offset):
