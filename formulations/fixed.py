@@ -10,6 +10,7 @@ import numpy as np
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.contact import active_set
 from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.settings import ByName
@@ -25,16 +26,18 @@ class Fixed(Formulation):
     """Solves the contact problem on the mesh as given; start, seed and limits change nothing."""
 
     relocates: ClassVar[bool] = False
+    takes_steps: ClassVar[bool] = True
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         state, after = self._solved(outer, monitor), list[ByName]()
-        for step in outer.problem.steps:
+        for number, step in enumerate(outer.problem.steps, 2):
             if state.status is not Status.CONVERGED:
                 break
             after.append(_carried(outer, state))
             origin = outer.contact.displacement.values(state.u)
-            outer = Outer.of(outer.problem.after(step, origin), outer.objective, outer.tolerance)
-            state = self._solved(outer, monitor)
+            with located(f"load step {number}"):
+                outer = Outer.of(outer.problem.after(step, origin), outer.objective, outer.tolerance)
+                state = self._solved(outer, monitor)
         details = {"steps": [*after, _carried(outer, state)]} if after else {}
         return Outcome(outer, np.zeros(outer.n), state.status, label="", details=details)
 

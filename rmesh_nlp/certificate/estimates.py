@@ -243,9 +243,10 @@ def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 
 def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """Estimates by a field in equilibrium; a NotCertifiableError where none is known."""
-    problem, skeleton, state = on.problem, on.skeleton, on.state
+    problem, state = on.problem, on.state
     if problem.motion.curves:
         raise NotCertifiableError("the body has curves")
+    skeleton = on.skeleton
     stresses = contact_stresses(on.space, on.nodes, state.normal_force, state.tangential_force)
     field = equilibrated(problem, skeleton, Guess(on.u, *stresses))
     fields, defect, balance, correction = field.fields, field.defect, field.balance, field.correction
@@ -270,6 +271,8 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             nodes, raised, along = on.space.nodes_of(contact_edges(problem, part.obstacle)), 0 * w, w.copy()
             raised[:, nodes] = np.multiply.outer(part.obstacle.normal, weights[nodes])[: len(w)]
             given = np.setdiff1d(nodes, part.nodes)
+            if part.partner is not None and np.any(weights[given[part.partner[given] == given]]):
+                raise NotCertifiableError("no displacement opens a crack at its end")
             along[:, given], gap = raised[:, given], -gaps(raised)
         traces = np.zeros(free.size)
         traces[free] = system.response(solved.active, push, gap)
@@ -314,7 +317,7 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     def estimate(text: str) -> Estimate:
         coarse, fine = _quantity(text, on), _quantity(text, finer)
         products = defect * norms(fine.dual, coarse.dual)
-        local = np.reshape(products, (-1, on.skeleton.areas.size)).sum(axis=0)
+        local = np.reshape(products, (-1, problem.mesh.nelements)).sum(axis=0)
         return Estimate(fine.value, times * abs(fine.value - coarse.value), coarse.value, local)
 
     return [estimate(text) for text in texts]

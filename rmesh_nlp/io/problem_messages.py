@@ -31,7 +31,7 @@ def value_at(data: object, place: Place) -> object:
     value = data
     for part in place:
         if isinstance(part, int):  # one table may stand in the place of a list of one
-            value = value[part] if isinstance(value, list) else value
+            value = next(iter(value[part:]), None) if isinstance(value, list) else value
         else:
             value = value.get(part) if isinstance(value, dict) else None
     return value

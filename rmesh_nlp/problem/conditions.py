@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.evaluation import ROUNDING, largest_side
 from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
@@ -107,6 +107,15 @@ class LoadStep:
     point_loads: tuple[PointLoad, ...] = ()
     dirichlet: tuple[Dirichlet, ...] = ()
     tools: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tools, Mapping):
+            raise BadInputError(f"tools must map boundaries to forces, got {self.tools!r}", "tools")
+        kinds = {"tractions": Traction, "point_loads": PointLoad, "dirichlet": Dirichlet}
+        for name, kind in kinds.items():
+            object.__setattr__(self, name, as_tuple(getattr(self, name)))
+            for one in getattr(self, name):
+                expect(f"a part of {name}", one, kind)
 
 
 def changed(old: Iterable[T], new: Iterable[T], key: str) -> tuple[T, ...]:

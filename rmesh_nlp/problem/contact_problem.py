@@ -286,7 +286,9 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
             break
         chosen = np.union1d(chosen, old.f2t[0, uneven])
     near = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2, k=2)[1].T  # of a pair both are there
-    is_first = np.isin(np.minimum(a, near[0]) * n + np.maximum(a, near[0]), c * n + d)
+    # at the end of a crack the edges of both sides begin at one node
+    to_first = (np.isin(np.minimum(end, near[0]) * n + np.maximum(end, near[0]), c * n + d) for end in (a, b))
+    is_first = np.logical_and(*to_first)
     middle = np.where(is_first, *near)
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}

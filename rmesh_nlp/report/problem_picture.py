@@ -39,7 +39,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace(problem)
     nodes, cells = points_of(space, mesh.p), space.elements
     # with middles of edges foundations are seen to be curved
-    finer = replace(problem, order=2)
+    finer = replace(problem.placed(dict.fromkeys(problem.tools, (0.0, 0.0))), order=2)
     fine = DisplacementSpace(finer)
     rest = np.zeros((problem.components, fine.n_nodes))
     body = DrawnBody("", fine.elements, state_of(finer, mesh.p, rest, rest[0], rest[0]))

@@ -151,6 +151,8 @@ def advise(problem: ContactProblem) -> Advice:
     Move limits are not regarded, nor by the ``command`` that is recommended; over curved foundations gaps
     hold along edges, as in ``auto``.
     """
+    if problem.steps:
+        raise BadInputError("advice is about one load: leave out the load steps")
     if not problem.has_energy:
         raise BadInputError(
             "advice is about the error of the energy: with Coulomb friction none is minimised"

@@ -258,10 +258,10 @@ def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:
         return None, f"no certificate: {one_line(error)}"
 
 
-def estimated(outer: Outer, final: State) -> ByName:
+def estimated(outer: Outer, final: State, certificate: Certificate | None = None) -> ByName:
     """The entry with estimates on a valid final mesh, where they take no finer one.
 
-    They are those of contact forces and of the energy.
+    They are those of contact forces and of the energy; the best known values obey bounds that are guaranteed.
     """
     problem, point, solver = final.problem, final.point, outer.contact
     assert point is not None
@@ -271,4 +271,10 @@ def estimated(outer: Outer, final: State) -> ByName:
         found = (estimates if problem.order == 1 else by_equilibrium)(on, texts)
     except FAULTS:
         return {}
-    return {"estimates": {text: one.record() for text, one in zip(texts, found, strict=True)}}
+    records = {text: one.record() for text, one in zip(texts, found, strict=True)}
+    if certificate is not None:
+        energy = Bounds(certificate.lower, final.energy, certificate.upper, certificate.is_guaranteed)
+        for text, bounds in {ENERGY: energy, **certificate.bounds}.items():
+            if text in records:
+                records[text]["value"] = bounds.nearest(records[text]["value"])
+    return {"estimates": records}

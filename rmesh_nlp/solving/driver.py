@@ -162,7 +162,7 @@ def _made(plan: Plan, end: RunEnd, safe: str | None, monitor: Monitor, certify: 
         details, final = end.outcome.details, assessment.final
         is_due = final.mesh.p.shape[1] <= MOST and budget.stopped is not Status.INTERRUPTED
         if is_due and final.problem.origin is None and assessment.success and "estimates" not in details:
-            details = {**details, **monitor.finish(lambda: estimated(end.outcome.outer, final))}
+            details = {**details, **monitor.finish(lambda: estimated(end.outcome.outer, final, certificate))}
     why = "; ".join((plan.why, *end.outcome.remarks)) if plan.why else None
     return Solution(
         assessment=assessment,

@@ -57,6 +57,9 @@ class Formulation(Settings, ABC):
     relocates: ClassVar[bool] = True
     """Whether nodes move at all; if not, there is nothing to be stationary in."""
 
+    takes_steps: ClassVar[bool] = False
+    """Whether load steps are solved one after the other."""
+
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         """Raise if it does not take a problem or an objective.
 

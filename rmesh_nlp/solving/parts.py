@@ -198,6 +198,10 @@ class Bounds(NamedTuple):
     upper: float
     guaranteed: bool
 
+    def nearest(self, value: float) -> float:
+        """A value, or the bound that it violates if that is guaranteed."""
+        return min(max(value, self.lower), self.upper) if self.guaranteed else value
+
 
 @dataclass(frozen=True)
 class Certificate:

@@ -128,10 +128,8 @@ class Plan:
         is_started = start is not None or seed is not None
         choice = asked.choose(problem, goal, is_started=is_started)
         chosen = choice.formulation
-        if problem.steps and chosen.name != "fixed":
-            raise BadInputError(
-                f"load steps follow each other on one mesh: solve by fixed, not {chosen.name}"
-            )
+        if problem.steps and not chosen.takes_steps:
+            raise BadInputError("load steps are solved by fixed, with nothing around it")
         _check_energy(problem, goal, chosen)
         chosen.accepts(choice.problem, goal)
         if not chosen.relocates:

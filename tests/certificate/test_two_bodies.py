@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -154,3 +155,40 @@ def test_refinement_proves_the_force_of_a_pair() -> None:
     assert force["guaranteed"]
     assert force["upper"] - force["lower"] < 0.08 * force["value"]
     assert force["lower"] < solved("pair, none", 1, 1).contact["bottom-1"]["normal_force"] < force["upper"]
+
+
+def test_force_of_a_crack_with_a_tip_is_estimated_by_richer_displacements() -> None:
+    """No displacement opens it at its tip: the integral of an equilibrated pressure corrects nothing."""
+    crack = {"crack": lambda x: np.isclose(x[1], 0.5) & (x[0] < 1.5)}
+    mesh = rectangle(12, 6, x=(0.0, 3.0), y=(0.0, 1.0))
+    lines = mesh.facets[:, crack["crack"](mesh.p[:, mesh.facets].mean(axis=1))]
+    mesh = named(mesh, boundaries={"crack": lines.T})
+    down = rm.Traction("top", (0.0, lambda x, y: 0.3 * x - 1))
+    problem = rm.ContactProblem(
+        mesh, STEEL, ("right", "bottom"), rm.Obstacle.interface("crack"), rm.Motion(0.1), (down,)
+    )
+    estimate = rm.solve(problem, "fixed").details["estimates"]["resultant(crack)"]
+    fine = problem
+    for _ in range(2):
+        fine = refined(fine)
+    truth = rm.solve(replace(fine, order=2), "fixed", audit=False).contact["crack"]["normal_force"]
+    assert abs(estimate["value"] - truth) < 1.5 * estimate["error"]
+    assert abs(estimate["value"] - truth) < abs(estimate["computed"] - truth)
+
+
+@pytest.mark.slow
+def test_force_on_a_circle_between_two_bodies_is_as_accurate_as_asked() -> None:
+    path = Path(__file__).parents[2] / "docs" / "parts" / "rings.toml"
+    solution = rm.solve(rm.read_problem(path), "adaptive", accuracy=0.01)
+    assert solution.success
+    estimate = solution.details["estimates"]["resultant(fit)"]
+    assert estimate["value"] == pytest.approx(184.08, rel=1e-3)  # Lame, docs/two_bodies.md
+
+
+def test_best_known_values_obey_guaranteed_bounds() -> None:
+    solution = rm.solve(pressed(stacked(2)), "fixed", certify=True)
+    certificate, found = solution.certificate, solution.details["estimates"]
+    assert certificate is not None
+    assert certificate.lower <= found["energy"]["value"] <= certificate.upper
+    for text, bounds in certificate.bounds.items():
+        assert bounds.lower <= found[text]["value"] <= bounds.upper

@@ -359,3 +359,14 @@ def test_interference_is_designed_for_a_force(formulation: str) -> None:
     force = rm.solve(problem.at_design(), "fixed").record()["resultant"]
     found = rm.solve(problem, formulation, objective=f"square(resultant(joint) - {3 * force})")
     assert found.design["d"] == pytest.approx(0.03, rel=1e-6)
+
+
+def test_triangles_at_the_end_of_a_crack_are_refined_on_both_sides() -> None:
+    problem = cracked(-1.0, 1)
+    (at,) = np.flatnonzero(np.all(np.isclose(problem.mesh.p, [[-0.5], [0]]), axis=0))
+    for _ in range(3):
+        problem = locally_refined(problem, np.flatnonzero(np.any(problem.mesh.t == at, axis=0)))
+    (contact,) = problem.contact_sets
+    assert contact.nodes.size == 9 + 3  # open ones, each with its partner
+    np.testing.assert_array_equal(*(problem.mesh.p[:, nodes] for nodes in contact.carriers(contact.nodes)))
+    assert rm.solve(problem, "fixed").success

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from formulations.fixed import Fixed
+from formulations.multistart import MultiStart
+from rmesh_nlp.solving.advice import advise
 from support.orders import ORDERS
 
 YOUNG, HEIGHT, LENGTH, FRICTION = 1000.0, 0.1, 4.0, 0.3
@@ -63,5 +66,8 @@ def test_a_step_is_refused_by_its_name_and_where_nodes_move() -> None:
         bar(rm.LoadStep(tools={"bottom": (0.0, 1.0)}))
     with pytest.raises(rm.BadInputError, match="nowhere"):
         bar(rm.LoadStep(tractions=(rm.Traction("nowhere", (0.0, 1.0)),)))
-    with pytest.raises(rm.BadInputError, match="solve by fixed, not joint"):
-        rm.solve(bar(pulled(1.0), friction=FRICTION), "joint")
+    for formulation in ("joint", MultiStart(Fixed())):
+        with pytest.raises(rm.BadInputError, match="by fixed, with nothing around it"):
+            rm.solve(bar(pulled(1.0), friction=FRICTION), formulation)
+    with pytest.raises(rm.BadInputError, match="leave out the load steps"):
+        advise(bar(pulled(1.0), friction=FRICTION))
