@@ -68,6 +68,7 @@ def test_quantities_of_the_displacement_and_windows_are_corrected() -> None:
     assert half.value == pytest.approx(whole.value / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("bound", [0.0, 5.0])
 def test_with_coulomb_friction_the_dual_adds_slips_to_gaps(order: int, bound: float) -> None:

@@ -102,6 +102,7 @@ def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch:
     assert 0 <= wide[0] < plain[0] < plain[1] < wide[1]
 
 
+@pytest.mark.slow
 def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> None:
     hats = [f"pressure(bottom, max(0, 1 - abs(x - {x})))" for x in (0, 1, 2)]
     needle = "pressure(bottom, exp(-1e10*(x - 0.703)**2))"

@@ -72,6 +72,7 @@ def solved(name: str, order: int, refinements: int) -> rm.Solution:
     return rm.solve(problem, "fixed")
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_bounds_hold_what_a_finer_mesh_finds(name: str, order: int) -> None:

@@ -91,6 +91,7 @@ def test_where_a_constraint_is_violated_no_branch_is_labelled() -> None:
     assert (found.label, found.b_stationary) == ("", None)
 
 
+@pytest.mark.slow
 def test_a_finish_that_fails_is_not_taken_and_the_descent_that_is_left_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -134,6 +135,7 @@ def test_for_the_energy_there_is_no_kink() -> None:
     assert not {"descent_rate", "label"} & row.keys()
 
 
+@pytest.mark.slow
 def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_claim(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -215,6 +217,7 @@ def test_slips_that_are_given_have_no_friction_of_their_own() -> None:
     np.testing.assert_allclose(hessian(d), change, atol=1e-5 * np.abs(change).max())
 
 
+@pytest.mark.slow
 def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two() -> None:
     """Gap, force and friction vanish together at grazing nodes of a seal, which slide."""
     block, q = end_of_seal()

@@ -38,6 +38,7 @@ def end_of(solution: rm.Solution) -> float:
     return float(np.mean(solution.displacement[0][: end.size][end])) / one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("friction", ["coulomb", "friction"])
 def test_bar_keeps_half_of_its_displacement_when_the_load_goes(friction: str, order: int) -> None:

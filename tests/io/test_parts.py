@@ -13,6 +13,7 @@ from rmesh_nlp.fem.space import DisplacementSpace
 PARTS = Path(__file__).parents[2] / "docs" / "parts"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "forces"),
     [
@@ -42,6 +43,7 @@ def test_the_pin_presses_on_its_lug_with_half_of_what_pulls_it() -> None:
     assert solution.contact["bore"]["peak_pressure"] == pytest.approx(104.65, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_crack_of_the_laminate_slides() -> None:
     contact = rm.solve(rm.read_problem(PARTS / "laminate.toml"), "fixed", audit=False).contact["crack"]
     assert contact["tangential_force"] == pytest.approx(-0.3 * contact["normal_force"], rel=1e-3)

@@ -71,6 +71,7 @@ def test_energy_is_that_of_its_displacement_on_coarse_meshes_near_the_axis(order
     assert record["energy"] == pytest.approx(record["energy_audited"], rel=5e-7)
 
 
+@pytest.mark.slow
 def test_hollow_sphere_under_pressure_is_that_of_lame() -> None:
     """Timoshenko and Goodier, Theory of elasticity, art. 136: radii 1 and 2, half of it above its equator."""
     mesh = rm.shapes.rectangle(4, 6, y=(0.0, np.pi / 2), x=(1.0, 2.0))

@@ -25,6 +25,9 @@ from support.reporting import designed, failed_61, joint_61, joint_62, saved
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
+pytestmark = pytest.mark.slow  # three comparisons are solved
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
@@ -142,7 +145,6 @@ document.body.append(out);
 </script>"""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("window", ["1200,900", "390,844"])
 def test_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) -> None:
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)

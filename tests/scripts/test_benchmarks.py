@@ -88,6 +88,7 @@ def test_cost_of_a_solve_is_larger_than_its_unit(capsys):
     assert 1 < float(cost["without assessment"]) < float(cost["whole"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 5, 19])
 def test_stated_design_obeys_all_constraints(seed):
     found = random_design(seed)
