@@ -245,6 +245,7 @@ class ContactProblem(Shown, ProblemData):
                 rows.append((f"{label} on {c.boundary}", ", ".join(describe(v) for v in c.value)))
         for load in self.point_loads:
             rows.append((f"force at node {load.node}", ", ".join(figure(v) for v in load.force)))
+        rows += [("load steps", f"{len(self.steps) + 1}")] * bool(self.steps)
         for part in self.contact_sets:
             count = f"{part.nodes.size} {'pairs of ' * bool(part.obstacle.other)}nodes"
             rows.append(("contact", f"{count} {part.obstacle.in_words()}"))

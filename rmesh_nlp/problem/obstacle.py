@@ -127,6 +127,8 @@ class Obstacle:
             object.__setattr__(self, name, tuple(map(float, given)))
             if len(self.normal) == 1 or self.boundary is Place.INTERIOR:
                 raise BadInputError("a tool needs a problem with two displacement components", name)
+            if self.other:
+                raise BadInputError("two bodies that touch are no tool: load one of them", name)
         if self.force is None:
             require(self.move is None, "move", "come with a force", self.move)
             return

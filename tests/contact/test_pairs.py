@@ -370,3 +370,8 @@ def test_triangles_at_the_end_of_a_crack_are_refined_on_both_sides() -> None:
     assert contact.nodes.size == 9 + 3  # open ones, each with its partner
     np.testing.assert_array_equal(*(problem.mesh.p[:, nodes] for nodes in contact.carriers(contact.nodes)))
     assert rm.solve(problem, "fixed").success
+
+
+def test_pair_takes_no_force() -> None:
+    with pytest.raises(BadInputError, match="no tool: load one of them"):
+        rm.Obstacle("joint", other="joint", force=(0.0, -1.0))

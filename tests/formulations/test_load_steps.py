@@ -65,6 +65,7 @@ def test_what_a_step_does_not_name_stays_and_what_holds_nothing_slips_back() -> 
 def test_a_step_is_refused_by_its_name_and_where_nodes_move() -> None:
     with pytest.raises(rm.BadInputError, match="no tool under a force meets 'bottom'"):
         bar(rm.LoadStep(tools={"bottom": (0.0, 1.0)}))
+    assert ("load steps", "2") in bar(pulled(1.0)).summary()
     with pytest.raises(rm.BadInputError, match="nowhere"):
         bar(rm.LoadStep(tractions=(rm.Traction("nowhere", (0.0, 1.0)),)))
     for formulation in ("joint", MultiStart(Fixed())):
