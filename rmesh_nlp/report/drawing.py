@@ -268,6 +268,7 @@ def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Fig
             lines = body.contacts[place].along
             plotting.draw_along(axis, body.nodes, lines, values, over, **look, label=title)
         axis.set(xlabel=f"{where} on {first.contacts[place].name}", ylabel=kinds[name])
-        axis.set_ylim(bottom=min(axis.get_ylim()[0], 0.0))  # a uniform pressure is seen as such
+        axis.update_datalim([(axis.dataLim.x0, 0.0)])  # a uniform pressure is seen as such
+        axis.autoscale_view()
     add_legend(figure, list(axes))
     return figure
