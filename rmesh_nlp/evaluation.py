@@ -160,3 +160,14 @@ def slope_of(function: ca.Function) -> ca.Function:
     """Derivative of a function of one number."""
     t = kind_of(function).sym("t")
     return ca.Function("slope", [t], [ca.jacobian(function(t), t)])
+
+
+def summed(values: Array, row: Index, column: Index, shape: tuple[int, int]) -> sp.csr_array:
+    """A sparse matrix of entries, of which those at one place add up; what cancels is none.
+
+    At the end of a crack nodes meet themselves.
+    """
+    matrix = sp.csr_array((values, (row, column)), shape=shape)
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    return matrix

@@ -23,7 +23,7 @@ from rmesh_nlp.contact.solver import coefficients, contact_rows
 from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, magnitude, numbers_of
+from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, magnitude, numbers_of, summed
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place
@@ -242,9 +242,7 @@ class Continuous:
         row, column = (np.broadcast_to(each, values.shape) for each in (number, column))
         used = (column >= 0) & (values != 0)
         shape = number.size, self._bare.load.size
-        rows = sp.csr_array((values[used], (row[used], column[used])), shape=shape)
-        rows.eliminate_zeros()  # at the end of a crack nodes meet themselves
-        return rows
+        return summed(values[used], row[used], column[used], shape)
 
     def _turns(self, state: Equilibrium) -> bool:
         """Whether a slip may change its sign within an edge, where friction is less than at nodes."""

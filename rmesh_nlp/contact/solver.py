@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric
+from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric, summed
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction, gaps
 from rmesh_nlp.fem.energy import loads, strain
@@ -56,8 +56,7 @@ def _rows(
             used = np.abs(values) > ROUNDING
             entries.append(np.stack([values[used], row[used], column[used]]))
     values, row, column = np.hstack(entries)
-    where = row.astype(np.int32), column.astype(np.int32)
-    return sp.csr_array((values, where), shape=(parts.n_contact, components * n))
+    return summed(values, row.astype(np.int32), column.astype(np.int32), (parts.n_contact, components * n))
 
 
 def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:
