@@ -79,7 +79,7 @@ class Law(ABC):
 
     @property
     def varies(self) -> bool:
-        """Whether it does, or depends on the place."""
+        """Whether the energy depends on the place, or on more than the gradient."""
         return callable(self.measure) or self.takes_displacement
 
     @abstractmethod
