@@ -84,8 +84,8 @@ def test_no_spreadsheet_runs_a_text() -> None:
 
 def test_units_are_named_where_they_are_known() -> None:
     assert [Units("mm", "N").stress, Units("mm").stress, Units("", "N").stress] == ["N/mm²", "", ""]
-    assert units_of({"length": "m", "force": None}) == Units("m")
-    assert units_of("nonsense") == Units()
+    assert units_of({"units": {"length": "m"}}) == Units("m")
+    assert units_of({"units": None}) == units_of({}) == Units()
     assert [bracketed("m"), bracketed(""), after("m"), after("")] == [" [m]", "", " m", ""]
 
 

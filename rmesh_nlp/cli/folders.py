@@ -10,15 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.folder import remove_leftovers
+from rmesh_nlp.io.folder import Manifest, folder_lock, remove_leftovers
 from rmesh_nlp.io.records import DamagedRecordsWarning
-from rmesh_nlp.io.results import Result, Results, read_results
+from rmesh_nlp.io.results import Result, read_results
 from rmesh_nlp.report.blocks import in_common_units
 
 
 @contextmanager
-def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
-    """The folder, made if need be and locked, before time is spent on solving.
+def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Manifest]:
+    """The own files of a folder, which is made if need be and locked, before time is spent on solving.
 
     If what happens in this context leaves it empty, what was made is taken away again. Raises OSError if it
     cannot be written, BadInputError if another process writes there, or one of ``names`` is the user's.
@@ -26,11 +26,11 @@ def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        results = Results(folder)
-        with results.locked():
+        manifest = Manifest(folder)
+        with folder_lock(folder):
             remove_leftovers(folder)
-            results.manifest.check(names)
-            yield results
+            manifest.check(names)
+            yield manifest
     finally:
         with suppress(OSError):  # not empty: keep it
             for path in made:

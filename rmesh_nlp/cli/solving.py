@@ -14,11 +14,11 @@ from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import Series, write_mesh
-from rmesh_nlp.io.folder import safe_name, write_whole
+from rmesh_nlp.io.folder import Manifest, safe_name, write_text, write_whole
 from rmesh_nlp.io.problem_file import keep, kept_files, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
-from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
+from rmesh_nlp.io.results import RECORD, RECORDS, SINGLE, TABLES, Results, single_result
 from rmesh_nlp.optimize.budget import deferred
 from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.formulation import ACCURACY
@@ -29,7 +29,6 @@ from rmesh_nlp.study.plan import PlannedSolve, planned
 from rmesh_nlp.study.progress import SolvesProgress
 from rmesh_nlp.study.runner import INTERRUPTED, Done, perform
 
-SINGLE = ("record.json", "solution.vtu", "history.csv")
 FILES = (*SINGLE, "mesh.msh")  # of a problem file, the series of its iterates and the figures aside
 SERIES, FIGURES = "iterations/x", "figures/x"  # one of the files of a folder, to check that it may be written
 SERIES_NODES = 200_000  # of all frames of a series: with more, writing them takes longer than the solve
@@ -58,14 +57,14 @@ def solve(
         (plan,) = comparison.plan_comparison([name], [formulation or "auto"], **given)
     folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
     kept = {} if stated is None else kept_files(stated)
-    with writable(folder, (*FILES, *kept, SERIES, *[FIGURES][:columns]) if kept else SINGLE) as results:
+    with writable(folder, (*FILES, *kept, SERIES, *[FIGURES][:columns]) if kept else SINGLE) as manifest:
         with SolvesProgress(1, quiet=not says) as progress:
             done = _performed(plan, progress, series)
             if done.row["status"] == "refused":
                 raise BadInputError(f"{'' if stated is None else f'{name}: '}{done.row['message']}")
             progress.finish(done.row)
         with deferred() as interrupted:
-            _write(results, done, series, kept)
+            _write(manifest, done, series, kept)
         try:
             if interrupted():
                 raise KeyboardInterrupt
@@ -80,7 +79,7 @@ def solve(
         print(to_json(done.row))
     elif says:
         _say(done, in_full=stated is not None)
-        own = (name for name in results.manifest.names() if (folder / name).exists())
+        own = (name for name in manifest.names() if (folder / name).exists())
         names = dict.fromkeys(name.split("/")[0] for name in own)
         print(f"wrote {folder}: {', '.join(names)}")
     if done.row["status"] == INTERRUPTED:
@@ -119,20 +118,21 @@ def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | No
         raise InterruptedSolveError("nothing was written") from None
 
 
-def _write(results: Results, done: Done, series: Series | None, kept: Mapping[str, Path]) -> None:
+def _write(manifest: Manifest, done: Done, series: Series | None, kept: Mapping[str, Path]) -> None:
     """Put the files of a solve in place, the result first; what an earlier solve left goes before.
 
     Of a problem file copies are ``kept``, and the relocated mesh and the iterates are written as well. A
     comparison is set aside.
     """
-    folder, solution, manifest = results.folder, done.solution, results.manifest
+    folder, solution = manifest.folder, done.solution
     older = manifest.names()
     if RECORDS in older:
         manifest.set_aside()
     manifest.claim(*(FILES if kept else SINGLE), *kept)
     keep(kept, folder)  # its mesh may be one that an earlier solve left
     manifest.remove(name for name in older if name not in kept)
-    write_single(folder, done.row, done.save)
+    write_text(folder / RECORD, to_json(done.row, indent=2) + "\n")  # small, if the disk is full it fits
+    done.save(single_result(folder, done.row))
     if solution is not None and kept:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
     if solution is not None and series is not None and series.frames:
@@ -188,10 +188,10 @@ def compare(
         raise BadInputError("--repeats is for times, which solves side by side would spoil: leave out --jobs")
     plan = comparison.plan_comparison(examples or list(EXAMPLES), formulations, **given)
     rows: list[Record] = []
-    with writable(out, (RECORDS, *TABLES, *([FIGURES] if figures else []))) as results:
+    with writable(out, (RECORDS, *TABLES, *([FIGURES] if figures else []))):
         with SolvesProgress(len(plan), quiet=voice != "text") as progress:
             watched: Values = {"on_start": progress.start, "on_step": progress.step}
-            solved = comparison.run(plan, results, resume=resume, jobs=jobs, **watched)
+            solved = comparison.run(plan, Results(out), resume=resume, jobs=jobs, **watched)
             try:
                 with notes(DamagedRecordsWarning, "rmesh: warning"):
                     for row in solved:

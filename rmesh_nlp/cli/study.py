@@ -27,9 +27,8 @@ def study(
 ) -> int:
     """Perform a study; returns the exit code. What is printed is "text", "json" (the counts) or "quiet"."""
     plan = make_plan(read_study(path), path)
-    with writable(out, (STUDY_FILE,)) as results:
-        results.manifest.check((f"{ROWS}/records", f"{SOLUTIONS}/x"))
-        results.manifest.claim(STUDY_FILE)
+    with writable(out, (STUDY_FILE, f"{ROWS}/records", f"{SOLUTIONS}/x")) as manifest:
+        manifest.claim(STUDY_FILE)
         if path.resolve() != (out / STUDY_FILE).resolve():
             write_whole(out / STUDY_FILE, lambda aside: shutil.copyfile(path, aside))
         done = len(plan) - len(engine.missing(plan, out))

@@ -119,17 +119,23 @@ def to_json(record: Record, indent: int | None = None) -> str:
 
 
 def read_lines(path: Path) -> list[Record]:
-    """The records of one file, without a damaged last line, of which a warning tells."""
-    if not path.exists():
-        return []
-    kept, damaged = damaged_last_line(path)
-    if damaged:
-        warn_of(path, damaged, "is passed over")
+    """The records of one file, without a damaged last line, of which a warning tells.
+
+    A last line is damaged if it has no end, or if it begins like a record, or with a zero as after
+    a power cut, and is not JSON. The only line of a file is not passed over for that.
+    """
     try:
-        text = path.read_bytes()[:kept].decode()
+        content = path.read_bytes() if path.exists() else b""
+        start = content.rfind(b"\n", 0, max(len(content) - 1, 0)) + 1
+        last = content[start:]
+        if last and (not last.endswith(b"\n") or (start and last[:1] in b"{\0" and not _is_json(last))):
+            shown = last[:40].decode(errors="replace").strip()
+            message = f"{path}: the last line was not written to its end and is passed over: {shown!r}"
+            warnings.warn(message, DamagedRecordsWarning, stacklevel=2)
+            content = content[:start]
+        lines = enumerate(content.decode().split("\n"), 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadInputError(f"cannot read {path}: {error}") from error
-    lines = enumerate(text.split("\n"), 1)
     return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
 
 
@@ -143,34 +149,8 @@ def one_per_key(rows: Iterable[Record]) -> list[Record]:
     return list(chosen.values())
 
 
-def damaged_last_line(path: Path) -> tuple[int, bytes]:
-    """How many bytes of a file of records are whole lines, and the damaged line after them.
-
-    A last line is damaged if it has no end, or if it begins like a record, or with a zero as after
-    a power cut, and is not JSON.
-    """
-    if not path.exists():
-        return 0, b""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadInputError(f"cannot read {path}: {error.strerror}") from error
-    start = content.rfind(b"\n", 0, max(len(content) - 1, 0)) + 1
-    line = content[start:]
-    if line and (not line.endswith(b"\n") or (start and line[:1] in b"{\0" and not _is_json(line))):
-        return start, line
-    return start + len(line), b""
-
-
 def _is_json(line: bytes) -> bool:
     with suppress(ValueError):
         from_json(line)
         return True
     return False
-
-
-def warn_of(path: Path, damaged: bytes, what: str) -> None:
-    """Say that a line is passed over, or where it went."""
-    shown = damaged[:40].decode(errors="replace").strip()
-    message = f"{path}: the last line was not written to its end and {what}: {shown!r}"
-    warnings.warn(message, DamagedRecordsWarning, stacklevel=3)

@@ -3,32 +3,29 @@
 from __future__ import annotations
 
 import csv
-import os
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.folder import Manifest, append_whole, folder_lock, read_text, safe_name, write_text
+from rmesh_nlp.io.folder import Manifest, read_text, safe_name, write_text
 from rmesh_nlp.io.records import (
     Record,
     Records,
-    damaged_last_line,
     one_per_key,
     read_lines,
     read_record,
     to_json,
-    warn_of,
 )
 from rmesh_nlp.solving.parts import HISTORY
 
 if TYPE_CHECKING:
     import pandas as pd
 
-RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
-DAMAGED = "records-damaged.txt"  # where lines of records go that a full disk or a power cut left half written
+RECORDS, SOLUTIONS = "records.jsonl", "solutions"
+RECORD = "record.json"
+SINGLE = (RECORD, "solution.vtu", "history.csv")  # the files of a single solve
 ROWS = "rows"  # sub-folder of a study with one file of records per worker process
 TABLES = ("table.md", "table.tex", "table.csv")
 
@@ -67,15 +64,6 @@ class Results:
 
     folder: Path
 
-    @property
-    def manifest(self) -> Manifest:
-        """Own files of the package here."""
-        return Manifest(self.folder)
-
-    def locked(self) -> AbstractContextManager[None]:
-        """The right to write here, one process at a time, as a context."""
-        return folder_lock(self.folder)
-
     def result(self, record: Record) -> Result:
         """A record with the places of its files, which are inside the folder whatever it says."""
         vtu, history = self.names(str(record.get("key", "")))
@@ -86,47 +74,14 @@ class Results:
         stem = f"{SOLUTIONS}/{safe_name(key)}"
         return f"{stem}.vtu", f"{stem}.csv"
 
-    def append(self, record: Record) -> None:
-        """Add a record, forced to the disk: it is there whole, or an error says that it is not.
-
-        A damaged last line is moved away first, lest the record continue it.
-        """
-        self.manifest.claim(RECORDS)
-        self.mend()
-        append_whole(self.folder / RECORDS, to_json(record) + "\n")
-
-    def replace_all(self, records: Records) -> None:
-        """Write the records anew."""
-        self.manifest.claim(RECORDS)
+    def write(self, records: Records) -> None:
+        """Write the records anew: they are all on the disk, or an error says that the old ones are."""
+        Manifest(self.folder).claim(RECORDS)
         write_text(self.folder / RECORDS, "".join(to_json(record) + "\n" for record in records))
 
-    def mend(self) -> None:
-        """Move a damaged last line to ``records-damaged.txt``; needs the lock."""
-        path = self.folder / RECORDS
-        kept, damaged = damaged_last_line(path)
-        if damaged:
-            warn_of(path, damaged, f"is moved to {DAMAGED}")
-            self.manifest.claim(DAMAGED)
-            append_whole(self.folder / DAMAGED, damaged.decode(errors="replace").rstrip("\n") + "\n")
-            with path.open("r+b") as file:
-                file.truncate(kept)
-                os.fsync(file.fileno())
-
     def read(self) -> list[Record]:
-        """The records, oldest first; none if the file is empty or missing; see :func:`read_lines`."""
-        return read_lines(self.folder / RECORDS)
-
-    def repaired(self) -> list[Record]:
-        """The records, a damaged last line moved away and one row per key; needs the lock.
-
-        Of rows with one key the last success is kept, else the last row.
-        """
-        self.mend()
-        rows = self.read()
-        kept = one_per_key(rows)
-        if len(kept) < len(rows):
-            self.replace_all(kept)
-        return kept
+        """The records, one for each key as in :func:`read_rows`; none if the file is empty or missing."""
+        return one_per_key(read_lines(self.folder / RECORDS))
 
 
 def row_files(folder: Path) -> list[Path]:
@@ -158,13 +113,7 @@ def read_results(folder: Path) -> list[Result]:
 
 def single_result(folder: Path, record: Record) -> Result:
     """Where a single solve keeps its files."""
-    return Result(record, folder / "solution.vtu", folder / "history.csv")
-
-
-def write_single(folder: Path, record: Record, save: Callable[[Result], object]) -> None:
-    """Write the record, and let ``save`` write fields and history to their places."""
-    write_text(folder / RECORD, to_json(record, indent=2) + "\n")  # small, if the disk is full it fits
-    save(single_result(folder, record))
+    return Result(record, *(folder / name for name in SINGLE[1:]))
 
 
 def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:

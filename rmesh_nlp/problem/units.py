@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rmesh_nlp.errors import expect
+from rmesh_nlp.settings import ByName
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,10 @@ class Units:
 NO_UNITS = Units()
 
 
-def units_of(entry: object) -> Units:
-    """The units in a record; none where it has none, or nonsense."""
-    given = entry if isinstance(entry, dict) else {}
-    return Units(*(str(given.get(name) or "") for name in ("length", "force", "per")))
+def units_of(record: ByName) -> Units:
+    """The units in a record; none where it has none."""
+    given = record.get("units") or {}
+    return Units(*(given.get(name, "") for name in ("length", "force", "per")))
 
 
 def bracketed(unit: str) -> str:

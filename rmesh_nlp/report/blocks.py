@@ -14,7 +14,6 @@ from rmesh_nlp.io.results import Result
 
 DEFAULT_RELAXATION = "scholtes"
 LINEAR = "order 1"  # what is only said beside another one
-RELOCATING_NOTHING = "fixed"  # the formulation whose solution is that of the initial grid
 
 # starts of ``mpcc`` that solve another model first: the homotopy then only certifies its end
 BORROWED = ("joint", "nested")
@@ -69,11 +68,6 @@ class Case:
         return grouped(self.records, lambda record: str(record["objective"]))
 
     @property
-    def succeeded(self) -> tuple[Record, ...]:
-        """Records of successful solves."""
-        return tuple(record for record in self.records if record["success"])
-
-    @property
     def has_energy(self) -> bool:
         """Whether the energies of its records compare; records that failed have none to say otherwise."""
         return all(has_energy(record) for record in self.records)
@@ -81,7 +75,7 @@ class Case:
     @property
     def best(self) -> Record | None:
         """The successful record with the least value of what was minimised."""
-        return min(self.succeeded, key=end_of, default=None)
+        return min((record for record in self.records if record["success"]), key=end_of, default=None)
 
     @property
     def unit(self) -> float | None:
@@ -120,6 +114,11 @@ def with_order(name: str, record: Record) -> str:
     return name if order_of(record) == 1 else f"{name}, order {order_of(record)}"
 
 
+def relocates(record: Record) -> bool:
+    """Whether its formulation moves nodes: the solution of ``fixed`` is that of the given mesh."""
+    return bool(record["formulation"] != "fixed")
+
+
 def end_of(record: Record) -> float:
     """What was minimised, at the end; infinite if that is not known."""
     end = ends_of(record)[1]
@@ -156,7 +155,7 @@ def variant(record: Record) -> str:
 
 def variants_of(records: Records) -> list[str]:
     """All variants that relocate, in the order of the records: the same looks in all figures of a folder."""
-    return list(dict.fromkeys(variant(r) for r in records if r["formulation"] != RELOCATING_NOTHING))
+    return list(dict.fromkeys(variant(r) for r in records if relocates(r)))
 
 
 def names_of_blocks(groups: Sequence[Case]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from rmesh_nlp.io.records import Record, Records, ends_of, gain_of, objective_of
 from rmesh_nlp.report.blocks import Case, contact_units, label
-from rmesh_nlp.report.table import MISSING, Rows, Table
+from rmesh_nlp.report.table import MISSING, Table
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import Digits
 
@@ -76,8 +76,9 @@ def _of_several(record: Record) -> bool:
     return len(record.get("contact") or ()) > 1
 
 
-def table_of(columns: Sequence[Column], rows: Rows, **options: Any) -> Table:
-    """A table of rows that :func:`cells` made, without the columns that none of them fills."""
+def table_of(columns: Sequence[Column], records: Records, **options: Any) -> Table:
+    """A table with a row for each record, without the columns that none of them fills."""
+    rows = cells(columns, records)
     filled = [place for place in range(len(columns)) if {row[place] for row in rows} != {MISSING}]
     kept = [[row[place] for place in filled] for row in rows]
     return Table([columns[place].heading for place in filled], kept, **options)
@@ -149,7 +150,6 @@ def short_label(record: Record) -> str:
     return label({**record, "objective": "energy"})
 
 
-FORMULATION = Column("formulation", label)
 COST = Column("cost|[contact solves]", contact_units, cost)
 BIACTIVE, LABEL = Column("biactive", _biactive), Column("label", _stationarity)
 GAIN = Column(
@@ -165,11 +165,10 @@ ENDS = of("objective_initial", "objective_value")
 
 @dataclass(frozen=True)
 class Kind:
-    """A table with a row for each solve of a block: its title in Markdown, columns and caption.
+    """A table of solves: its title in Markdown, columns beside that of the solve, and caption.
 
-    Without columns it has :func:`contact_columns`.
-
-    ``is_wanted`` says which blocks it has; ``is_detail`` that it is in ``table.md`` and not printed.
+    ``is_wanted`` says which blocks it has, ``rows`` which rows their records become; ``is_detail`` that it is
+    in ``table.md`` and not printed.
     """
 
     title: str
@@ -177,6 +176,7 @@ class Kind:
     caption: str
     is_wanted: Callable[[Case], bool]
     is_detail: bool = True
+    rows: Callable[[Records], Records] = tuple
 
 
 def _of_energy(block: Case) -> bool:
@@ -197,14 +197,12 @@ LABELS = (
     "a KKT point. Biactive: pairs of gap and contact force that both vanish."
 )
 CONTACT = (
-    FORMULATION,
     Column("boundary", "boundary"),
     *(Column(name.replace("_", "|"), name, ".4g") for name in RESULTS),
 )
 MAIN = Kind(
     "",
     (
-        FORMULATION,
         *of("energy_initial_audited", "energy_audited"),
         GAIN,
         *of("iterations", "contact_solves", "wall_time_s", "status"),
@@ -219,7 +217,7 @@ KINDS = (
     MAIN,
     Kind(
         "Other objectives",
-        (FORMULATION, *ENDS, BIACTIVE, LABEL, *of("status")),
+        (*ENDS, BIACTIVE, LABEL, *of("status")),
         f"Outer objectives other than the energy. {LABELS}",
         _with(lambda record: objective_of(record) != "energy"),
         is_detail=False,
@@ -227,7 +225,6 @@ KINDS = (
     Kind(
         "Certificates",
         (
-            FORMULATION,
             *of("energy_lower_bound", "energy_upper_bound"),
             Column("error before|[%]", _bound("relative_error_bound_initial", "initial")),
             Column("error after|[%]", _bound("relative_error_bound", "upper")),
@@ -242,11 +239,11 @@ KINDS = (
         "Results of each contact boundary on the relocated mesh.",
         lambda block: any(map(_of_several, block.records)),
         is_detail=False,
+        rows=of_boundaries,
     ),
     Kind(
         "Outcome",
         (
-            FORMULATION,
             *ENDS,
             GAIN_OF_OBJECTIVE,
             LEFT,
@@ -263,7 +260,6 @@ KINDS = (
     Kind(
         "Work",
         (
-            FORMULATION,
             *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s", "stationarity_residual"),
             BIACTIVE,
         ),
@@ -274,10 +270,7 @@ KINDS = (
     ),
     Kind(
         "Energies by the rule of the problem",
-        (
-            FORMULATION,
-            *of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
-        ),
+        (*of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),),
         "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
         "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
         "on the given mesh. rmesh reproduce examines each of the paper's values.",
@@ -286,7 +279,6 @@ KINDS = (
     Kind(
         "Costs",
         (
-            FORMULATION,
             *of("start"),
             Column("contact solves,|cold + warm", _solves),
             Column("factorisations,|contact; KKT", _factorisations),
@@ -302,7 +294,6 @@ KINDS = (
     Kind(
         "Costs to a common level",
         (
-            FORMULATION,
             Column("J reached|by all", "common_objective", ".7g"),
             Column("cost to|that J", "cost_to_objective", cost),
             Column("residual|reached by all", "common_stationarity", ".1e"),
@@ -316,7 +307,6 @@ KINDS = (
     Kind(
         "Residuals",
         (
-            FORMULATION,
             *of("own_equilibrium_residual", "equilibrium_residual"),
             *of("own_complementarity_residual", "complementarity_residual", "stationarity_residual"),
             BIACTIVE,
@@ -330,7 +320,6 @@ KINDS = (
     Kind(
         "Errors",
         (
-            FORMULATION,
             *of("I1", "I2", "I3"),
             Column("sum", _sum_of_errors, ".6f"),
             *of("energy_above_exact"),
@@ -341,8 +330,3 @@ KINDS = (
     ),
 )
 """The tables of a comparison, those that are printed first."""
-
-
-def body(columns: Sequence[Column], block: Case) -> list[list[str]]:
-    """The rows of a block."""
-    return cells(columns, of_boundaries(block.records) if columns is CONTACT else block.records)

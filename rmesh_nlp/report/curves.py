@@ -40,7 +40,7 @@ def convergence_figure(
     figures.
     """
     of_energy = objective_of(best) == "energy"
-    unit = bracketed(units_of(best.get("units")).energy) if of_energy else ""
+    unit = bracketed(units_of(best).energy) if of_energy else ""
     symbol = "J" if of_energy else "F"
     last = (one.iloc[-1] for _, one in curves)
     ends = [float(end["value"]) for end in last if end["feasible"]]

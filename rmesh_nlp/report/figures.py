@@ -15,7 +15,7 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Case, blocks_of, order_of, variant
+from rmesh_nlp.report.blocks import Case, blocks_of, order_of, relocates, variant
 from rmesh_nlp.report.columns import short_label
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure, design_figure, profile_figure
 from rmesh_nlp.report.drawing import (
@@ -58,7 +58,7 @@ def figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure
 def block_figures(block: Case, results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures of one block: grids, stresses, convergence and designs, beside the given grid."""
     first = block.records[0]
-    units, size = units_of(first.get("units")), f"{block.example}-{first['n']}"
+    units, size = units_of(first), f"{block.example}-{first['n']}"
     stem = size if order_of(first) == 1 else f"{size}-order{order_of(first)}"
     given, moved = _bodies(results)
     grids = partial(displacement_figure, page=page, units=units)
@@ -88,7 +88,7 @@ def _bodies(
     return given, [
         (record, fields, DrawnBody(short_label(record), fields.triangles, fields.final))
         for record, fields in drawn
-        if record["formulation"] != RELOCATING_NOTHING
+        if relocates(record)
     ]
 
 
@@ -98,7 +98,7 @@ def stress_figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str,
     for objective in dict.fromkeys(str(result.record["objective"]) for result in results):
         ends = [body for record, _, body in moved if record["objective"] == objective]
         bodies = [*given, *ends] if ends or not moved else []
-        units = units_of(results[0].record.get("units"))
+        units = units_of(results[0].record)
         if bodies and (figure := contact_figure(bodies, page, units)) is not None:
             yield objective, "stress", figure
 
@@ -124,12 +124,7 @@ def progress_figures(
 
 def figure_of_designs(results: Sequence[Result], page: Page) -> Figure | None:
     """The way of the designs of solves with one objective; None where there is none."""
-    moved = [
-        result
-        for result in results
-        if result.record["formulation"] != RELOCATING_NOTHING
-        if result.record.get("design_bounds")
-    ]
+    moved = [result for result in results if relocates(result.record) if result.record.get("design_bounds")]
     if not moved:
         return None
     curves = {short_label(result.record): result.steps() for result in moved}
@@ -157,6 +152,4 @@ def error_figure(fields: SolutionFields, record: Record, page: Page) -> Figure:
     paint = coloured(
         plotting.draw_elements, lambda body: np.maximum(densities[body.title], norm.vmin or 0), norm=norm
     )
-    return side_by_side(
-        bodies, paint, page, units_of(record.get("units")), label="error bound per root of area"
-    )
+    return side_by_side(bodies, paint, page, units_of(record), label="error bound per root of area")

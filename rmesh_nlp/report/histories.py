@@ -16,11 +16,11 @@ import pandas as pd
 from rmesh_nlp.io.records import Record, ends_of, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import (
-    RELOCATING_NOTHING,
     blocks_of,
     contact_units,
     end_of,
     grouped,
+    relocates,
     seconds_of_work,
 )
 from rmesh_nlp.solving.outer import TOLERANCE
@@ -35,7 +35,7 @@ def curve(result: Result) -> pd.DataFrame | None:
     """
     record, steps = result.record, result.steps()
     value = steps["energy" if _is_energy(record) else "objective"]
-    if record["formulation"] == RELOCATING_NOTHING or not value.notna().any():
+    if not relocates(record) or not value.notna().any():
         return None
     # a clock too coarse for the unit: no cost is known
     pace = 1.0 / (record.get("contact_time_s") or math.nan)
@@ -73,7 +73,7 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
     added: dict[int, Record] = {}
     for block, own in blocks_of(results):
         good = (result for result in own if result.record["success"])
-        moved = (result for result in good if result.record["formulation"] != RELOCATING_NOTHING)
+        moved = (result for result in good if relocates(result.record))
         for group in grouped(moved, lambda result: result.record["objective"]).values():
             if len(group) > 1 and block.unit is not None:
                 added |= zip(map(id, group), _costs(group), strict=True)

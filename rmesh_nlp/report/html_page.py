@@ -24,18 +24,18 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import PAPER
 from rmesh_nlp.io.folder import Manifest, read_text, write_text
 from rmesh_nlp.io.records import Record, Records, has_energy, objective_of, parse_json, to_json
-from rmesh_nlp.io.results import ROWS, Result, Results
+from rmesh_nlp.io.results import ROWS, Result
 from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.report.blocks import (
-    RELOCATING_NOTHING,
     blocks_of,
     names_of_solves,
     order_of,
+    relocates,
     variant,
     variants_of,
     with_order,
 )
-from rmesh_nlp.report.columns import CONTACT, KINDS, Column, cells, of, of_boundaries, table_of
+from rmesh_nlp.report.columns import CONTACT, KINDS, Column, of, of_boundaries, table_of
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures, stress_figures
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
@@ -74,7 +74,7 @@ def write_report(folder: Path, results: Sequence[Result], question: str = "", ti
     Raises BadInputError if the fields of a solution cannot be read, or the file there is the user's.
     """
     path = folder / REPORT
-    Results(folder).manifest.claim(REPORT)
+    Manifest(folder).claim(REPORT)
     write_text(path, page(folder, results, question, title or folder.resolve().name))
     return path
 
@@ -94,9 +94,9 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         column
         for kind in KINDS
         if not kind.is_detail and kind.columns is not CONTACT
-        for column in kind.columns[1:]
+        for column in kind.columns
     ]
-    others = [column for kind in KINDS if kind.is_detail for column in kind.columns[1:]]
+    others = [column for kind in KINDS if kind.is_detail for column in kind.columns]
     others = [column for column in (*of("unknowns"), *others) if column not in printed]
     comparable = [_without_energies(record) for record in records]
     return _render(
@@ -113,7 +113,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         meshes=meshes,
         meshes_left=meshes_left,
         solves=_solves(comparable, [*printed, *_design_columns(records)], failed={*failed}),
-        forces=_solves(of_boundaries(records, 1 if is_own else 2), CONTACT[1:], texts=4),
+        forces=_solves(of_boundaries(records, 1 if is_own else 2), CONTACT, texts=4),
         more=_solves(comparable, others, failed={*failed}),
         failures=_solves([records[i] for i in failed], [*of("status"), MESSAGE], texts=6),
         remarks=[
@@ -179,14 +179,14 @@ def _design_columns(records: Records) -> tuple[Column, ...]:
 def _solves(records: Records, columns: Sequence[Column], **options: Any) -> Table:
     """A row for each solve, with the columns that are filled; of several with one heading the last."""
     shown = {column.heading: column for column in (*WHICH, *columns)}.values()
-    return table_of([*shown], cells([*shown], records), **{"texts": 2, **options})
+    return table_of([*shown], records, **{"texts": 2, **options})
 
 
 def _meshes(results: Sequence[Result]) -> tuple[list[Values], str]:
     """Meshes and fields for the slider between the given and the relocated mesh, and what is left out."""
     solved = [r for r in results if r.record["energy"] is not None and r.vtu.exists()]
     solved = [r for r in solved if not r.record.get("repeat")]  # repetitions end on the same mesh
-    solved = [r for r in solved if r.record["formulation"] != RELOCATING_NOTHING] or solved
+    solved = [r for r in solved if relocates(r.record)] or solved
     rest = len(solved) - MESHES
     shown = [result for _, own in blocks_of(solved[:MESHES]) for result in own]
     names = names_of_solves([result.record for result in shown])

@@ -14,17 +14,17 @@ from rmesh_nlp.display import bounds_in_words
 from rmesh_nlp.evaluation import difference
 from rmesh_nlp.io.records import Record, Records, ends_of, has_energy
 from rmesh_nlp.report.blocks import (
-    RELOCATING_NOTHING,
     blocks,
     contact_units,
     grouped,
     label,
     names_of_blocks,
+    relocates,
     seedless,
     with_order,
 )
 from rmesh_nlp.report.columns import Column, cells, short_label, table_of
-from rmesh_nlp.report.table import Rows, Table
+from rmesh_nlp.report.table import Table
 from rmesh_nlp.solving.parts import FEW
 
 STARTS = (
@@ -36,7 +36,7 @@ STARTS = (
 )
 MESHES = (
     Column("mesh", "mesh"),
-    Column("formulation", lambda r: "no motion" if r["formulation"] == RELOCATING_NOTHING else label(r)),
+    Column("formulation", lambda r: label(r) if relocates(r) else "no motion"),
     Column("nodes", "nodes"),
     Column("J audited", "energy_audited", ".6g"),
     Column("gain", "gain", ".4g"),
@@ -79,25 +79,24 @@ def joined_tables(records: Records) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def estimate_rows(records: Records) -> Rows:
+def estimate_rows(records: Records) -> list[Record]:
     """Where an accuracy was asked for, a row for each quantity of each solve."""
     is_asked = any("meshes" in record for record in records)
-    rows = [
+    return [
         {**record, **of, "quantity": text}
         for record in records
         for text, of in record.get("estimates", {}).items()
         if is_asked
     ]
-    return cells(ESTIMATES, rows)
 
 
-def multistart_rows(records: Records) -> Rows:
+def multistart_rows(records: Records) -> list[Record]:
     """A row for each formulation and objective of a block that was solved from two starts or more."""
     starts, groups = list[Record](), blocks(records)
     for block, name in zip(groups, names_of_blocks(groups), strict=True):
         solves = grouped((r for r in block.records if r["status"] != "refused"), seedless)
         starts += [row for of, group in solves.items() if (row := _starts(f"{name}, {of}", group))]
-    return cells(STARTS, starts)
+    return starts
 
 
 def _starts(name: str, group: Records) -> Record | None:
@@ -118,12 +117,12 @@ def _starts(name: str, group: Records) -> Record | None:
     }
 
 
-def refinement_rows(records: Records) -> Rows:
+def refinement_rows(records: Records) -> list[Record]:
     """Per example that was solved on several meshes, its rows: the given mesh first, then finer ones.
 
     Gains are those of the audited energy over the given mesh, the one of fewest nodes.
     """
-    rows = [
+    return [
         {
             **record,
             "mesh": f"{name}, {'as given' if record['nodes'] == own[0]['nodes'] else 'refined'}",
@@ -132,7 +131,6 @@ def refinement_rows(records: Records) -> Rows:
         for name, own in _several_meshes(records).items()
         for record in own
     ]
-    return cells(MESHES, rows)
 
 
 def refinement_notes(records: Records) -> list[str]:
@@ -140,8 +138,8 @@ def refinement_notes(records: Records) -> list[str]:
     notes = []
     for name, own in _several_meshes(records).items():
         start, coarsest = own[0]["energy_initial_audited"], own[0]["nodes"]
-        moved = [r for r in own if r["formulation"] != RELOCATING_NOTHING and r["nodes"] == coarsest]
-        finer = [r for r in own if r["formulation"] == RELOCATING_NOTHING and r["nodes"] > coarsest]
+        moved = [r for r in own if relocates(r) and r["nodes"] == coarsest]
+        finer = [r for r in own if not relocates(r) and r["nodes"] > coarsest]
         if not moved or not finer:
             continue
         best, refined = min(moved, key=lambda record: record["energy_audited"]), finer[0]
@@ -190,7 +188,7 @@ def named_tables(title: str, records: Records, entry: str) -> Iterator[Table]:
     solves = [
         {"": short_label(record), **own}
         for record, own in zip(solved, values, strict=True)
-        if record["formulation"] != RELOCATING_NOTHING or entry == "constraints"
+        if relocates(record) or entry == "constraints"
     ]
     names = list(dict.fromkeys(name for own in values for name in own))
     columns = [Column("", ""), *(Column(name, name, ".5g") for name in names)]

@@ -52,9 +52,7 @@ def shared_notes(records: Records) -> list[str]:
 
 def units_notes(records: Records) -> list[str]:
     """The units of u and J of the problems that name theirs."""
-    named = grouped(
-        blocks(records), lambda block: (units_of(block.records[0].get("units")), block.has_energy)
-    )
+    named = grouped(blocks(records), lambda block: (units_of(block.records[0]), block.has_energy))
     return [
         f"{', '.join(dict.fromkeys(block.name for block in own))}: {_units_in_words(units, energy)}"
         for (units, energy), own in named.items()

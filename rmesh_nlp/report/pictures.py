@@ -45,7 +45,7 @@ def pictures(result: Result, page: Page) -> Iterator[tuple[str, Figure]]:
     bodies = [last]
     if moved or is_design:
         bodies.insert(0, DrawnBody(before, fields.triangles, fields.given))
-    units, elastic = units_of(record.get("units")), last.elastic
+    units, elastic = units_of(record), last.elastic
     is_loaded = any(np.any(body.state.displacement) for body in bodies)
     yield "mesh", side_by_side(bodies, _paint_mesh, page, units, deformed=elastic and is_loaded)
     if is_loaded:

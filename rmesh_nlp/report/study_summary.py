@@ -22,8 +22,8 @@ from rmesh_nlp.io.records import Record, Records, ends_of, gain_of, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.report.blocks import (
-    RELOCATING_NOTHING,
     contact_units,
+    relocates,
     seconds_of_work,
     variant,
     variants_of,
@@ -106,7 +106,7 @@ def summary_table(records: Records) -> Table:
     solves = pd.DataFrame(
         {
             "family": map(family, records),
-            "relocates": [record["formulation"] != RELOCATING_NOTHING for record in records],
+            "relocates": [relocates(record) for record in records],
             "formulation": map(variant, records),
             "status": [record["status"] for record in records],
             "instance": map(instance, records),
@@ -160,7 +160,7 @@ def charts(results: Sequence[Result]) -> list[Chart]:
 
     The variant that relocates nothing is not ranked: it is the baseline of all gains.
     """
-    rows = [r for r in results if r.record["formulation"] != RELOCATING_NOTHING]
+    rows = [r for r in results if relocates(r.record)]
     rows = [r for r in rows if r.record["status"] != "refused"]
     names, instances = variants_of([r.record for r in rows]), [instance(r.record) for r in rows]
     if len(names) < 2:

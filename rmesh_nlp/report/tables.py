@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
 from rmesh_nlp.display import for_spreadsheet
-from rmesh_nlp.io.folder import write_text
+from rmesh_nlp.io.folder import Manifest, write_text
 from rmesh_nlp.io.records import Records
-from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import Case, blocks, contact_units, names_of_blocks, order_of
-from rmesh_nlp.report.columns import KINDS, RESULTS, body, of_boundaries, table_of
+from rmesh_nlp.io.results import TABLES
+from rmesh_nlp.report.blocks import Case, blocks, contact_units, label, names_of_blocks, order_of
+from rmesh_nlp.report.columns import KINDS, RESULTS, Column, of_boundaries, table_of
 from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
 from rmesh_nlp.report.notes import (
     block_notes,
@@ -45,20 +44,22 @@ def tables(records: Records) -> list[Table]:
     notes = [*settings_notes(records), *units_notes(records)]
     made = []
     for kind in KINDS:
-        wanted = [(name, block) for name, block in sections if kind.is_wanted(block)]
         rows = [
-            [f"{name}, {row[0]}", *row[1:]] for name, block in wanted for row in body(kind.columns, block)
+            {**record, "solve": f"{name}, {label(record)}"}
+            for name, block in sections
+            if kind.is_wanted(block)
+            for record in kind.rows(block.records)
         ]
         if rows:
             table = table_of(
-                kind.columns,
+                (Column("solve", "solve"), *kind.columns),
                 rows,
                 title=kind.title,
                 caption=kind.caption,
                 notes=notes if kind.is_detail else [*notes, *stopped_early(records)],
                 is_detail=kind.is_detail,
             )
-            made.append(replace(table, head=["solve", *table.head[1:]]))
+            made.append(table)
     for name, block in sections:
         for entry in () if block.has_energy else NAMED:
             made += named_tables(name, block.records, entry)
@@ -123,6 +124,6 @@ def csv(records: Records) -> str:
 
 def write_tables(records: Records, folder: Path) -> None:
     """Write ``table.md``, ``table.tex`` and ``table.csv``; BadInputError if one there is the user's."""
-    Results(folder).manifest.claim(*TABLES)
+    Manifest(folder).claim(*TABLES)
     for name, content in zip(TABLES, (markdown(records), latex(records), csv(records)), strict=True):
         write_text(folder / name, content)

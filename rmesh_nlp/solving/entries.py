@@ -119,7 +119,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED, heading="unknowns"),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
               "problem.rule", SOLVED),
-        Entry("units", Named | dict[str, str], "Of the problem, if it names any; `per` is `revolution` where "
+        Entry("units", dict[str, str] | None, "Of the problem, if it names any; `per` is `revolution` where "
               "energies and forces are of a whole body of revolution.",
               lambda s: {k: v for k, v in asdict(s.problem.units).items() if v or k != "per"}, SOLVED),
         Entry("start", Text, "Where the solve started: `given`, `random`, `positions`, or the formulation "

@@ -14,7 +14,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.io.folder import folder_aside
+from rmesh_nlp.io.folder import Manifest, folder_aside
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record, Records
 from rmesh_nlp.io.results import RECORDS, TABLES, Results
@@ -156,9 +156,9 @@ def run(
     if key := _twice(keys):
         raise BadInputError(f"two cases are both called {key!r}")
     results.folder.mkdir(parents=True, exist_ok=True)
-    manifest = results.manifest
+    manifest = Manifest(results.folder)
     manifest.check([RECORDS, *TABLES, *(name for key in keys for name in results.names(key))])
-    rows = results.repaired() if resume else []
+    rows = results.read() if resume else []
     finished = _finished(plan, rows, results)
     yield from finished.values()
     todo, clean = [solve for solve in plan if solve.key not in finished], resume
@@ -170,12 +170,8 @@ def run(
                 clean = True
             manifest.claim(*results.names(solve.key))
             done.save(results.result(row))
-            others = [other for other in rows if other.get("key") != solve.key]
-            if len(others) < len(rows):
-                results.replace_all([*others, row])
-            else:
-                results.append(row)
-            rows = [*others, row]
+            rows = [*(other for other in rows if other.get("key") != solve.key), row]
+            results.write(rows)
             yield row
             if row["status"] == INTERRUPTED:
                 raise KeyboardInterrupt

@@ -16,7 +16,7 @@ import rmesh_nlp as rm
 from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.io.results import write_single
+from rmesh_nlp.io.records import to_json
 from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
 from rmesh_nlp.study.comparison import formulation_options
@@ -70,7 +70,7 @@ def test_a_formulation_that_refuses_leaves_its_record() -> None:
 
 
 def test_records_of_a_folder_are_read(tmp_path: Path) -> None:
-    write_single(tmp_path, fixed_61(), lambda _: None)
+    (tmp_path / "record.json").write_text(to_json(fixed_61()))
     assert rm.read_records(tmp_path) == [fixed_61()]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 from rmesh_nlp.cli.solving import does_not_apply
 from rmesh_nlp.io.records import REQUIRED, to_json
+from rmesh_nlp.study.runner import Done
 from support.planted import plant, raising
 from support.reporting import fixed_61
 
@@ -74,6 +76,18 @@ def test_a_solve_that_raises_is_recorded_and_exit_code_1(rmesh, monkeypatch: pyt
     assert (record()["status"], record()["message"]) == ("failed", "RuntimeError: singular")
     assert "RuntimeError: singular" in said.err
     assert [path.name for path in Path("one").glob("[!.]*")] == ["record.json"]  # no stale solution
+
+
+def test_a_solve_is_recorded_though_the_disk_is_full(rmesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    def save(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "solution.vtu")
+
+    monkeypatch.setattr(Done, "save", save)
+    said = rmesh("solve 6.3 -f fixed --n 4x2 --out one")
+    assert said.err.endswith("rmesh: error: solution.vtu: No space left on device\n")
+    assert said.code == 2
+    assert record()["status"] == "converged"
+    assert Path("one/record.json").read_text().startswith('{\n  "')  # for people
 
 
 @pytest.mark.slow

@@ -17,7 +17,6 @@ from rmesh_nlp.io.folder import Manifest, append_whole
 from rmesh_nlp.io.records import (
     REQUIRED,
     DamagedRecordsWarning,
-    damaged_last_line,
     parse_json,
     read_lines,
     read_record,
@@ -33,7 +32,6 @@ from rmesh_nlp.io.results import (
     row_files,
     single_result,
     write_history,
-    write_single,
 )
 from support.reporting import failed_61, fixed_61, joint_61
 
@@ -85,21 +83,6 @@ def test_which_of_several_records_a_folder_is_read_from(tmp_path):
     assert read("noted", {}, [RECORDS]) == []
 
 
-def test_single_solve_is_recorded_though_the_disk_is_full(tmp_path):
-    known = single_result(tmp_path, fixed_61())
-
-    def save(places: Any) -> None:
-        assert (places.vtu, places.history) == (known.vtu, known.history)
-        raise OSError("no space left on device")
-
-    with pytest.raises(OSError, match="no space"):
-        write_single(tmp_path, fixed_61(), save)
-    text = (tmp_path / RECORD).read_text()
-    assert json.loads(text) == fixed_61()
-    assert text.startswith('{\n  "')  # for people
-    assert text.endswith("}\n")
-
-
 def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     result = single_result(tmp_path, fixed_61())
     assert result.steps().empty
@@ -120,36 +103,18 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
             result.steps()
 
 
-def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
-    results, path = Results(tmp_path), tmp_path / RECORDS
-    results.append(fixed_61(key="a"))
-    whole, half = path.read_bytes(), '{"half' + "x" * 99
-    results.mend()
-    assert not (tmp_path / "records-damaged.txt").exists()
-    for mend in (results.mend, results.mend, lambda: results.append(joint_61())):
-        path.write_bytes(path.read_bytes() + half.encode())
-        with pytest.warns(DamagedRecordsWarning, match=r'is moved to .*"halfx{34}[^x]'):  # its start
-            mend()
-        assert path.read_bytes().startswith(whole)
-    assert results.read() == [fixed_61(key="a"), joint_61()]
-    assert (tmp_path / "records-damaged.txt").read_text() == f"{half}\n" * 3
-    assert "records-damaged.txt" in results.manifest.names()
-
-
-def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path):
+def test_of_rows_of_a_comparison_with_one_key_the_latest_success_counts_too(tmp_path):
+    rows = [
+        fixed_61(),
+        fixed_61(),
+        failed_61(key="b"),
+        fixed_61(key="b"),
+        failed_61(key="b", message="later"),
+    ]
     results = Results(tmp_path)
-    rows = [fixed_61(), fixed_61(), failed_61(key="b"), failed_61(key="b", message="later")]
-    for row in rows[:3]:
-        results.append(row)
-    before = (tmp_path / RECORDS).stat().st_mtime_ns
-    assert results.repaired() == rows[:3]
-    assert (tmp_path / RECORDS).stat().st_mtime_ns == before
-    results.append(rows[3])
-    assert results.repaired() == results.read() == [rows[0], rows[1], rows[3]]
-    good = fixed_61(key="b")
-    for row in (good, failed_61(key="b")):  # the last success counts
-        results.append(row)
-    assert results.repaired() == results.read() == [rows[0], rows[1], good]
+    results.write(rows)
+    assert results.read() == [rows[0], rows[1], rows[3]]  # those without a key are apart
+    assert Manifest(tmp_path).names() == [RECORDS]
 
 
 @pytest.mark.parametrize("content", ["", "\n", '{"example": "6.1", "form'])
@@ -162,9 +127,9 @@ def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, conten
 
 def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     """A full disk takes some bytes without an error and refuses the next."""
-    results = Results(tmp_path)
-    results.append(fixed_61())
-    before, write, taken = (tmp_path / "records.jsonl").read_bytes(), os.write, []
+    path = tmp_path / "rows"
+    path.write_bytes(before := b"one\n")
+    write, taken = os.write, []
 
     def full(descriptor: int, data: bytes) -> int:
         if taken:
@@ -173,16 +138,13 @@ def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeyp
         return taken[0]
 
     monkeypatch.setattr(os, "write", full)
-    with pytest.raises(OSError, match=r"No space left.*records"):
-        results.append(joint_61())
-    with pytest.raises(OSError, match=r"No space left.*new"):
-        append_whole(tmp_path / "new", "x")
+    for name in ("rows", "new"):
+        with pytest.raises(OSError, match=f"No space left.*{name}"):
+            append_whole(tmp_path / name, "x" * 101)
     monkeypatch.undo()
     assert not (tmp_path / "new").exists()
     assert taken == [100]
-    assert (tmp_path / "records.jsonl").read_bytes() == before
-    results.append(joint_61())
-    assert results.read() == [fixed_61(), joint_61()]
+    assert path.read_bytes() == before
 
 
 def test_json_is_strict_and_plain():
@@ -252,22 +214,18 @@ def test_broken_line_is_named_with_file_and_number(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "kept", "damaged"),
-    [
-        (b"\n", 1, b""),
-        (b'{"a": 1}\n', 9, b""),
-        (b'{"a": 1}', 0, b'{"a": 1}'),  # no end: the next row would be glued to it
-        (b'{"a": 1}\n{"b"\n', 9, b'{"b"\n'),
-        (b'{"a": 1}\ngarbage\n', 17, b""),  # whole lines of others are for the reader to name
-        (b'{"a"\n', 5, b""),  # the only line: a file of something else
-        (b'{"a": 1}\n{"b": \xff}\n', 9, b'{"b": \xff}\n'),
-        (b"x" * 5000 + b"\n" + b'{"b": 2}\n', 5010, b""),
-        (b"x" * 5000 + b"\n" + b'{"b"' + b" " * 40000 + b"\n", 5001, b'{"b"' + b" " * 40000 + b"\n"),
-    ],
+    "last",  # one without an end may have been cut, though it is whole
+    [ROW.encode()[:-1], b'{"b"\n', b'{"b": \xff}\n', b"\0\0\n", b'{"halfx' + b"x" * 40000 + b"\n"],
 )
-def test_end_of_the_whole_lines_is_found(tmp_path, content, kept, damaged):
+def test_last_line_that_was_not_written_to_its_end_is_passed_over(tmp_path, last):
     path = tmp_path / "records.jsonl"
-    path.write_bytes(content)
-    assert damaged_last_line(path) == (kept, damaged)
+    path.write_bytes(ROW.encode() + last)
+    with pytest.warns(DamagedRecordsWarning, match=r"is passed over: .{2,42}$"):
+        assert read_lines(path) == [fixed_61(key="a")]
+    path.write_bytes(b'{"a"\n')  # the only line: a file of something else
+    with pytest.raises(BadInputError, match="line 1 is not JSON"):
+        read_lines(path)
+    path.write_bytes(ROW.encode() + b"\n")
+    assert len(read_lines(path)) == 1
     path.unlink()
-    assert damaged_last_line(path) == (0, b"")
+    assert read_lines(path) == []

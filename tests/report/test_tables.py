@@ -13,8 +13,9 @@ import pytest
 
 from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import Results
+from rmesh_nlp.report.columns import cells
 from rmesh_nlp.report.html_page import page
-from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
+from rmesh_nlp.report.joined import MESHES, STARTS, multistart_rows, refinement_notes, refinement_rows
 from rmesh_nlp.report.notes import block_notes, main_notes
 from rmesh_nlp.report.study_summary import RANGES, summary_table
 from rmesh_nlp.report.table import LINES, Table, latex_cell, latex_text
@@ -266,7 +267,7 @@ def test_relocation_stands_beside_refinement() -> None:
     moved = joint_62(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
     finer = {**given, "n": "f", "nodes": 400, "energy_initial_audited": -1.4, "energy_audited": -1.4}
     finer["wall_time_s"] = 1.0
-    rows = refinement_rows([finer, given, moved])
+    rows = cells(MESHES, refinement_rows([finer, given, moved]))
     assert [[*row[:3], row[4]] for row in rows] == [
         ["6.2, as given", "no motion", "100", "0"],
         ["6.2, as given", "joint", "100", "0.2"],
@@ -276,7 +277,7 @@ def test_relocation_stands_beside_refinement() -> None:
     (note,) = refinement_notes([finest, worse, finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
     useless = {**moved, "energy_audited": -1.0 - 1e-15}
-    assert refinement_rows([given, useless, finer])[1][4] == "0"
+    assert cells(MESHES, refinement_rows([given, useless, finer]))[1][4] == "0"
     assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
     quadratic = {**given, "order": 2, "nodes": 400}  # another discretisation, no refinement
     assert refinement_rows([given, quadratic]) == []
@@ -286,24 +287,23 @@ def test_relocation_stands_beside_refinement() -> None:
     assert "Relocation against uniform refinement" not in markdown([given, moved])
 
 
-STARTS = [joint_61(seed=seed, energy_audited=end) for seed, end in ((None, -1.47), (1, -1.48), (2, -1.46))]
+SOLVES = [joint_61(seed=seed, energy_audited=end) for seed, end in ((None, -1.47), (1, -1.48), (2, -1.46))]
 
 
 @pytest.mark.parametrize(
-    ("rows", "cells"),
+    ("rows", "row"),
     [
-        ([*STARTS, failed(joint_61(), formulation="joint", seed=3)],
+        ([*SOLVES, failed(joint_61(), formulation="joint", seed=3)],
          ["joint", "4", "-1.48", "-1.47", "-1.46", "1", "50"]),
         ([joint_61(start_energies=[-1.4, None, -1.5])], ["joint", "3", "-1.5", "-1.45", "-1.4", "1", "-"]),
         ([joint_61(start_energies=[-1.4, -1.5], start_values=[0.25, 0.5], objective="error-l2")],
          ["joint, error-l2", "2", "0.25", "0.375", "0.5", "0", "-"]),
     ],
 )  # fmt: skip
-def test_several_starts_are_joined(rows: list[Record], cells: list[str]) -> None:
-    (joined,) = multistart_rows(rows)
-    assert joined == [f"6.1, {cells[0]}", *cells[1:]]
+def test_several_starts_are_joined(rows: list[Record], row: list[str]) -> None:
+    assert cells(STARTS, multistart_rows(rows)) == [[f"6.1, {row[0]}", *row[1:]]]
     assert "Several starts" in markdown(rows)
-    assert not multistart_rows(STARTS[:1])
+    assert not multistart_rows(SOLVES[:1])
 
 
 def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
