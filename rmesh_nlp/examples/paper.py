@@ -53,13 +53,11 @@ class PaperValues:
     energy_final: float
     u_min_initial: float | None = None
     u_max_initial: float | None = None
-    u_min_final: float | None = None
-    u_max_final: float | None = None
     enlarged: tuple[float, ...] = ()
 
 
 PAPER = {
-    "6.1": PaperValues((8, 8), (0.0275, 0.0275), -1.1246, -1.4445, -0.4549, 0.4753, -0.5178, 0.5263),
+    "6.1": PaperValues((8, 8), (0.0275, 0.0275), -1.1246, -1.4445, -0.4549, 0.4753),
     "6.2": PaperValues((12, 6), (0.15667, 0.07333), -4.8541, -4.9188, enlarged=(1.5, 2.0)),
     "6.3": PaperValues((12, 6), (0.08333, 0.04166), -0.6099, -0.6211, enlarged=(2.0, 4.0)),
 }

@@ -72,18 +72,15 @@ def cell_data(solution: Solution) -> dict[str, Array]:
     yy, xy) is the mean of the field that proves it.
     """
     problem, nodes, certificate = solution.problem, solution.mesh.p, solution.certificate
-    stress = stresses(problem, nodes, solution.displacement)
-    triangles = problem.triangles
-    areas = signed_areas(nodes, triangles)
+    stress, triangles = stresses(problem, nodes, solution.displacement), problem.triangles
     data: dict[str, Array] = {
-        "area_ratio": areas / signed_areas(solution.final.before, triangles),
+        "area_ratio": signed_areas(nodes, triangles) / signed_areas(solution.final.before, triangles),
         "least_angle": least_angles(nodes, triangles),
         "zone": element_zones(problem.mesh).astype(np.int32),
     }
-    if problem.components == 1:
-        data["flux"] = three(stress)
-    else:
-        data["stress"] = np.ascontiguousarray(stress.T)
+    kind, written = ("flux", three) if problem.components == 1 else ("stress", _columns)
+    data[kind] = written(stress)
+    if kind == "stress":
         data["von_mises"] = von_mises(stress)
     if solution.multipliers is not None:
         data["area_multiplier"] = solution.multipliers.area
@@ -91,10 +88,12 @@ def cell_data(solution: Solution) -> dict[str, Array]:
     if certificate is not None:
         data["error_bound"] = certificate.local
         data["error_bound_initial"] = certificate.local_initial
-        scalar = problem.components == 1
-        name = "equilibrated_flux" if scalar else "equilibrated_stress"
-        data[name] = three(certificate.field) if scalar else np.ascontiguousarray(certificate.field.T)
+        data[f"equilibrated_{kind}"] = written(certificate.field)
     return data
+
+
+def _columns(values: Array) -> Array:
+    return np.ascontiguousarray(values.T)
 
 
 def write_solution(solution: Solution, path: str | Path, file_format: str | None = None) -> None:

@@ -19,7 +19,7 @@ from skfem import MeshTri
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, Index, largest_side
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, signed_areas
 from rmesh_nlp.settings import ByName
 
 
@@ -118,8 +118,8 @@ def _without_duplicates(p: NDArray, t: Index, apart: list[list[Any]]) -> tuple[N
 
 
 def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index) -> MeshTri:
-    size = np.int64(mesh.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
-    keys = np.min(mesh.facets, axis=0) * size + np.max(mesh.facets, axis=0)
+    size = mesh.p.shape[1]
+    keys = edge_keys(mesh.facets, size)
 
     def facets_of(name: str, edges: NDArray) -> Index:
         """Numbers of the facets between pairs of nodes (edges, 2), these by their old numbers."""
@@ -127,8 +127,7 @@ def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index)
             raise BadInputError(
                 f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}"
             )
-        ends = number[edges.reshape(-1, 2).T]
-        wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
+        wanted = edge_keys(number[edges.reshape(-1, 2).T], size)
         found = np.searchsorted(keys, wanted) % keys.size  # scikit-fem sorts facets
         for a, b in edges[keys[found] != wanted]:
             raise BadInputError(

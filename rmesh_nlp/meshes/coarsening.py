@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask
 from rmesh_nlp.meshes.delaunay import MetricNodes, delaunay
-from rmesh_nlp.meshes.geometry import sides
+from rmesh_nlp.meshes.geometry import pieces_of, sides
 
 LEAST_QUALITY = 0.2
 """Shape in the metric (1 for an equilateral triangle, 0 for a flat one) that a merger must leave."""
@@ -172,7 +171,7 @@ def _on_short_lines(along: NDArray, n: int) -> Mask:
 
     Two nodes of a line may be taken out at once, so that five leave three at least.
     """
-    piece = connected_components(sp.coo_array((np.ones(along.shape[1]), along), shape=(n, n)))[1]
+    piece = pieces_of(along, n)
     return np.bincount(piece)[piece] <= 4
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
-from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.geometry import edge_keys, signed_areas
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def delaunay(measured: MetricNodes, triangles: NDArray, fixed: NDArray) -> Index
     """
     t = np.array(triangles, dtype=np.int64)
     n = measured.nodes.shape[1]
-    fixed_keys = np.min(fixed, axis=0) * n + np.max(fixed, axis=0)
+    fixed_keys = edge_keys(fixed, n)
     value = measured.flatness(t)
     while True:  # each flip lowers the sum of the values
         i, j, (a, b, c, d) = _interior_edges(t, n, fixed_keys)
@@ -82,7 +82,7 @@ def _interior_edges(t: Index, n: int, fixed_keys: Index) -> tuple[Index, Index, 
     These are the ends a and b, then the vertex left and the vertex right of the way from a to b.
     """
     a, b, opposite = t.ravel(), t[[1, 2, 0]].ravel(), t[[2, 0, 1]].ravel()
-    key = np.minimum(a, b) * n + np.maximum(a, b)
+    key = edge_keys(np.stack([a, b]), n)
     order = np.argsort(key, kind="stable")
     pair = np.flatnonzero(key[order][1:] == key[order][:-1])
     pair = pair[~np.isin(key[order[pair]], fixed_keys)]

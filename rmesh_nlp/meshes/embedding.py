@@ -15,13 +15,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, cross, largest_side
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, counter_clockwise, lengths, sides, signed_areas
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, counter_clockwise, lengths, pieces_of, sides, signed_areas
 
 INSIDE = np.array([0.2113, 0.3517, 0.4370])
 """Barycentric coordinates of a point of an element; with these it is hardly ever on an edge of another."""
@@ -93,9 +91,7 @@ def _crossing(mesh: MeshTri) -> str | None:
 
 def _covered(mesh: MeshTri) -> str | None:
     """A piece, connected over edges, that lies on another one."""
-    inner, n = mesh.f2t[:, mesh.f2t[1] >= 0], mesh.nelements
-    graph = sp.coo_array((np.ones(inner.shape[1]), tuple(inner)), shape=(n, n))
-    piece = connected_components(graph, directed=False)[1]
+    piece = pieces_of(mesh.f2t[:, mesh.f2t[1] >= 0], mesh.nelements)
     corner = mesh.p[:, counter_clockwise(mesh.p, mesh.t)]
     for element in np.unique(piece, return_index=True)[1]:
         off = (corner[:, :, element] @ INSIDE)[:, None, None] - corner

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import depth_first_order
+from scipy.sparse import coo_array, csr_matrix
+from scipy.sparse.csgraph import connected_components, depth_first_order
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, Place, ProblemError, unknown
@@ -102,6 +102,18 @@ def have_same_mesh(a: MeshTri, b: MeshTri) -> bool:
 def lengths(nodes: NDArray, edges: NDArray) -> NDArray:
     """Of edges, numbers (2, m) of their ends."""
     return np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+
+
+def edge_keys(edges: NDArray, n: int) -> Index:
+    """A number for each edge (2, m) between n nodes, whichever end is first."""
+    # scikit-fem's numbers of nodes are 32 bits wide, their products are not
+    return np.min(edges, axis=0) * np.int64(n) + np.max(edges, axis=0)
+
+
+def pieces_of(pairs: NDArray, n: int) -> Index:
+    """(n,) number of the piece that each of n things is in, which ``pairs`` (2, m) of them connect."""
+    graph = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def sides(triangles: NDArray) -> NDArray:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Index
 from rmesh_nlp.meshes.arrays import named
+from rmesh_nlp.meshes.geometry import pieces_of
 
 
 def opened(mesh: MeshTri, name: str, behind: str, front: Index) -> MeshTri:
@@ -29,13 +28,10 @@ def opened(mesh: MeshTri, name: str, behind: str, front: Index) -> MeshTri:
         [number[np.argmax(mesh.t[:, e] == end, axis=0), e] for e in mesh.f2t[:, uncut]]
         for end in mesh.facets[:, uncut]
     ]
-    joined = np.hstack(pairs)
-    graph = sp.coo_array((np.ones(joined.shape[1]), tuple(joined)), shape=2 * (mesh.t.size,))
-    count, fan = connected_components(graph, directed=False)
-    old = np.empty(count, dtype=np.int64)
-    old[fan] = mesh.t.ravel()
+    fan = pieces_of(np.hstack(pairs), mesh.t.size)
+    old = mesh.t.ravel()[np.unique(fan, return_index=True)[1]]
     new, single = np.array(old), np.unique(old, return_index=True)[1]
-    further = np.setdiff1d(np.arange(count), single)
+    further = np.setdiff1d(np.arange(old.size), single)
     if further.size == 0:
         raise BadInputError(f"{name!r} cannot open: it needs two edges or an end on the boundary")
     new[further] = mesh.p.shape[1] + np.arange(further.size)

@@ -10,15 +10,13 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse import csgraph
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
+from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user, pieces_of
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.process import Process, packed, serve, unpacked
 
@@ -110,10 +108,7 @@ def remeshed(
 
 def _pieces(mesh: MeshTri, lines: Index) -> Index:
     """A number (elements,) for each piece that the lines cut the domain into."""
-    a, b = mesh.f2t[:, np.setdiff1d(np.flatnonzero(mesh.f2t[1] >= 0), lines)]
-    n = mesh.nelements
-    beside = sp.coo_array((np.ones(a.size), (a, b)), shape=(n, n))
-    return csgraph.connected_components(beside, directed=False)[1]
+    return pieces_of(mesh.f2t[:, np.setdiff1d(np.flatnonzero(mesh.f2t[1] >= 0), lines)], mesh.nelements)
 
 
 def _marks(

@@ -17,7 +17,7 @@ from rmesh_nlp.display import Rows, Shown, bounds_in_words, describe, figure
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise, lengths, named_by_user
+from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, lengths, named_by_user
 from rmesh_nlp.problem.checks import check, check_names, check_pairs
 from rmesh_nlp.problem.conditions import Dirichlet, LoadStep, PointLoad, Traction, as_tuple, changed
 from rmesh_nlp.problem.data import ProblemData
@@ -279,17 +279,15 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     sides = [edges_of_pair(old, *names) for names in problem.pairs]
     while True:
         new = replace(old, _boundaries=None).refined(chosen)
-        c, d = new.facets
-        n = np.int64(new.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
-        whole = np.isin(a * n + b, c * n + d)
+        n, keys = new.p.shape[1], edge_keys(new.facets, new.p.shape[1])
+        whole = np.isin(edge_keys(old.facets, n), keys)
         uneven = np.hstack([np.zeros(0, int), *(both[whole[both] & ~whole[both[::-1]]] for both in sides)])
         if uneven.size == 0:
             break
         chosen = np.union1d(chosen, old.f2t[0, uneven])
     near = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2, k=2)[1].T  # of a pair both are there
     # at the end of a crack the edges of both sides begin at one node
-    to_first = (np.isin(np.minimum(end, near[0]) * n + np.maximum(end, near[0]), c * n + d) for end in (a, b))
-    is_first = np.logical_and(*to_first)
+    is_first = np.logical_and(*(np.isin(edge_keys(np.stack([end, near[0]]), n), keys) for end in (a, b)))
     middle = np.where(is_first, *near)
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}

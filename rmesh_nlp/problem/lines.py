@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 from skfem import Basis, ElementTriP1, MeshTri
 from skfem.models.poisson import laplace
@@ -24,7 +23,15 @@ from rmesh_nlp.errors import ProblemError, contradicting
 from rmesh_nlp.evaluation import Array, Index, Mask, cross, largest_side
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import EPSILON, SEVEN_DIGITS, last_digit, lengths, named_by_user, nodes_of
+from rmesh_nlp.meshes.geometry import (
+    EPSILON,
+    SEVEN_DIGITS,
+    last_digit,
+    lengths,
+    named_by_user,
+    nodes_of,
+    pieces_of,
+)
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ProblemData
 
@@ -54,8 +61,7 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     node, *beside = _pairs(ends)
     neighbours = [mesh.p[:, ends[:, facet].sum(axis=0) - node] for facet in beside]
     smooth = _distances(mesh.p[:, node], *neighbours) <= 10 * close
-    joined = sp.coo_array((smooth[smooth], (beside[0][smooth], beside[1][smooth])), shape=2 * ends.shape[1:])
-    piece = np.tile(csgraph.connected_components(joined, directed=False)[1], 2)
+    piece = np.tile(pieces_of(np.stack(beside)[:, smooth], ends.shape[1]), 2)
     (piece, node), count = np.unique([piece, ends.ravel()], axis=1, return_counts=True)
     is_open = np.isin(piece, np.flatnonzero(np.bincount(piece[count == 1]) == 2))
     piece, node, count = np.unique(piece[is_open], return_inverse=True)[1], node[is_open], count[is_open]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Mask, magnitude
+from rmesh_nlp.meshes.geometry import pieces_of
 from rmesh_nlp.problem.data import ProblemData
 
 
@@ -19,8 +18,7 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     mesh = problem.mesh
     p = mesh.p if nodes is None else nodes
     held, _ = problem.held
-    edges = sp.coo_array((np.ones(mesh.nfacets), tuple(mesh.facets)), shape=2 * (p.shape[1],))
-    _, part = connected_components(edges, directed=False)
+    part = pieces_of(mesh.facets, p.shape[1])
     motions = []
     for number in np.unique(part[mesh.t[0]]):
         modes = _modes(p, part == number, problem.components)

@@ -47,7 +47,7 @@ class Column:
 def of(*names: str) -> tuple[Column, ...]:
     """The columns of entries, as they are declared."""
     entries = (ENTRIES[name] for name in names)
-    return tuple(Column(entry.heading, entry.name, entry.digits) for entry in entries)
+    return tuple(Column(one.heading or one.name.replace("_", "|"), one.name, one.digits) for one in entries)
 
 
 VECTOR = ("force_x", "force_y", "moment")

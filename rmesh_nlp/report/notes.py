@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.io.records import Records
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import Units, units_of
-from rmesh_nlp.report.blocks import Case, blocks, grouped, label
+from rmesh_nlp.report.blocks import blocks, grouped, label
 from rmesh_nlp.report.joined import refinement_notes
 
 
@@ -25,8 +23,22 @@ def main_notes(records: Records) -> list[str]:
 
 
 def block_notes(records: Records) -> list[str]:
-    """What the records show: impossible energies."""
-    return [note for block in blocks(records) for note in below_infimum(block)]
+    """Energies that no mesh can have: below the exact one, or below a guaranteed bound."""
+    notes = []
+    for block, record in ((own, record) for own in blocks(records) for record in own.records):
+        above, lower = record.get("energy_above_exact"), None
+        if above is not None and record.get("energy_audited") is not None:
+            lower = record["energy_audited"] - above
+        elif record.get("guaranteed_lower"):
+            lower = record.get("energy_lower_bound")
+        for name, words in (("energy", "energy"), ("energy_audited", "audited energy")):
+            value = record.get(name)
+            if lower is not None and value is not None and value < lower - ROUNDING * abs(lower):
+                notes.append(
+                    f"{block.name}, {label(record)}: the {words} {value:.6f} lies BELOW the "
+                    f"infimum {lower:.6f}: its quadrature was exploited."
+                )
+    return notes
 
 
 def settings_notes(records: Records) -> list[str]:
@@ -65,20 +77,3 @@ def _units_in_words(units: Units, energy: bool) -> str:
     if energy:
         return f"u in {units.length}, J in {units.energy}, the energy {per}."
     return f"lengths in {units.length}, forces in {units.force} {per}."
-
-
-def below_infimum(block: Case) -> Iterator[str]:
-    """Energies that no mesh can have: below the exact one, or below a guaranteed bound."""
-    for record in block.records:
-        above, lower = record.get("energy_above_exact"), None
-        if above is not None and record.get("energy_audited") is not None:
-            lower = record["energy_audited"] - above
-        elif record.get("guaranteed_lower"):
-            lower = record.get("energy_lower_bound")
-        for name, words in (("energy", "energy"), ("energy_audited", "audited energy")):
-            value = record.get(name)
-            if lower is not None and value is not None and value < lower - ROUNDING * abs(lower):
-                yield (
-                    f"{block.name}, {label(record)}: the {words} {value:.6f} lies BELOW the "
-                    f"infimum {lower:.6f}: its quadrature was exploited."
-                )

@@ -89,7 +89,7 @@ def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
 
     return (
         Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure on {where}.",
-              on("peak_pressure", max), unit="force/length^2", heading="peak|pressure",
+              on("peak_pressure", max), unit="force/length^2",
               digits=".4g"),
         Entry(f"resultant{suffix}", Number,
               f"Sum of the normal forces of all contact boundaries on {where}, the integrals of their "
@@ -112,20 +112,20 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("delta", Widths, "Move limits along x and y, a part of the shortest edge, or null for none.",
               lambda s: s.problem.motion.delta_record(), EVERY, unit="length"),
         Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
-              "problem.order", SOLVED, heading="order"),
+              "problem.order", SOLVED),
         Entry("nodes", Count, "Vertices of the mesh.", lambda s: s.mesh.p.shape[1], SOLVED),
         Entry("triangles", Count, "Of the mesh.", lambda s: s.mesh.nelements, SOLVED),
         Entry("unknowns", Count, "Of the displacement.",
-              lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED, heading="unknowns"),
+              lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
               "problem.rule", SOLVED),
         Entry("units", dict[str, str] | None, "Of the problem, if it names any; `per` is `revolution` where "
               "energies and forces are of a whole body of revolution.",
               lambda s: {k: v for k, v in asdict(s.problem.units).items() if v or k != "per"}, SOLVED),
         Entry("start", Text, "Where the solve started: `given`, `random`, `positions`, or the formulation "
-              "whose solution it was.", "start", SOLVED, heading="start"),
+              "whose solution it was.", "start", SOLVED),
         Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", "seed",
-              EVERY, heading="seed"),
+              EVERY),
         Entry("settings", Values, "That differ from the defaults.", lambda s: dict(s.settings),
               SOLVED),
         Entry("limits", Values, "Of time and iterations.", lambda s: s.limits.changed() or None),
@@ -139,7 +139,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
     ),
     "How it ended": (
         Entry("status", str, "That of the assessment; `refused` and `failed` are solves that raised.",
-              "status.value", EVERY, heading="status"),
+              "status.value", EVERY),
         Entry("success", bool, "Valid and improved.", "success", EVERY),
         Entry("valid", bool, "Whether the contact problem is solved on the final mesh, see [the "
               "assessment](assessment.md).", "valid", SOLVED),
@@ -185,9 +185,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("share_of_attainable", Number, "That least error over the one of the final mesh.",
               "reduced_error.attained.share_of_attainable"),
         Entry("I1", Number, "Error of the energy, a term of Theorem 4.1, where the exact solution is known.",
-              unit="energy", heading="I1", digits=".6f"),
-        Entry("I2", Number, "The same of the contact.", unit="energy", heading="I2", digits=".2e"),
-        Entry("I3", Number, "The same of the friction.", unit="energy", heading="I3", digits=".2e"),
+              unit="energy", digits=".6f"),
+        Entry("I2", Number, "The same of the contact.", unit="energy", digits=".2e"),
+        Entry("I3", Number, "The same of the friction.", unit="energy", digits=".2e"),
         Entry("energy_above_exact", Number, "What the terms sum to.", unit="energy",
               heading="J above|exact", digits=".6f"),
     ),
@@ -244,10 +244,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: {text: one.record() for text, one in s.constraints.items()} or None),
     ),
     "Work": (
-        Entry("iterations", Count, "Of the solver.", "trace.iterations", EVERY,
-              heading="iterations"),
-        Entry("contact_solves", Count, "Of the formulation.", "trace.work.contact_solves", EVERY,
-              heading="contact|solves"),
+        Entry("iterations", Count, "Of the solver.", "trace.iterations", EVERY),
+        Entry("contact_solves", Count, "Of the formulation.", "trace.work.contact_solves", EVERY),
         Entry("cold_contact_solves", Count, "Those without an active set to start from.",
               lambda s: s.trace.work.cold_contact_solves or None),
         Entry("contact_factorisations", Count, "Of the stiffness.",

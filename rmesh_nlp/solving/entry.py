@@ -64,7 +64,7 @@ class Entry:
     unit : str
         "energy" and "length" are those of the problem; empty where there is none.
     heading, digits : str
-        Of its column; lines of a heading are separated by a bar.
+        Of its column; lines of a heading are separated by a bar, and by default it is the name.
     """
 
     name: str

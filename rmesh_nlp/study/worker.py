@@ -13,7 +13,6 @@ import platform
 import socket
 import sys
 import warnings
-from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -36,34 +35,6 @@ GRACE = 1.25
 themselves then still return their best point."""
 
 
-class Contained:
-    """Runs planned solves one after the other in a process of their own on the given cores.
-
-    Once the ``session`` is stopped a StoppedError ends what is solved.
-    """
-
-    def __init__(self, cores: Collection[int] | None, session: Budget | None) -> None:
-        self._process, self._session = Process("rmesh_nlp.study.worker", cores), session
-        self.close = self._process.close
-
-    def solve(self, solve: PlannedSolve, folder: Path) -> Record:
-        """The row of a solve, whatever happens to it; its fields are kept in a folder of results."""
-        request = json.dumps({"solve": solve.plain(), "folder": str(folder)})
-        seconds = solve.time_s * GRACE + GRACE_S
-        answer = self._process.ask(request.encode(), self._session, seconds, solve.memory_mb)
-        if answer.line is not None:
-            if self._process.megabytes > 0.5 * solve.memory_mb:
-                self.close()  # what a leak has left is not charged to the next solve
-            row: Record = json.loads(answer.line)
-            return row
-        said = {
-            "time_limit": f"killed after {answer.seconds:.1f} s: the limit is {solve.time_s:g} s",
-            "memory_limit": f"killed with more memory than the limit of {solve.memory_mb:g} MB",
-            "died": f"its process ended twice, at last with code {answer.code}",
-        }
-        return failure(solve, answer.why, said[answer.why], answer.seconds)
-
-
 def _row(line: bytes) -> bytes:
     """Run a solve, keep its fields in a folder of results, and return its row as JSON."""
     request = json.loads(line)
@@ -83,14 +54,16 @@ ALONE = 0.9  # a solve that got less of its time from the processor shared it wi
 class Worker:
     """Performs planned solves of the study in a folder, one at a time; as a context it is closed at the end.
 
-    If there is one, it takes a core for itself, on which its solves are pinned; rows of solves that had
-    no core alone carry ``shared = true``. Once the ``session`` is stopped a StoppedError ends its solve.
+    They are solved in a process of its own. If there is one, it takes a core for itself, on which that is
+    pinned; rows of solves that had no core alone carry ``shared = true``. Once the ``session`` is stopped a
+    StoppedError ends its solve.
     """
 
     def __init__(self, folder: Path, session: Budget | None = None) -> None:
-        self._folder = folder
+        self._folder, self._session = folder, session
         self._core = _own_core()
-        self._contained = Contained(None if self._core is None else {self._core[0]}, session)
+        cores = None if self._core is None else {self._core[0]}
+        self._process = Process("rmesh_nlp.study.worker", cores)
         self._rows = RowsFile(folder)
         self._noted = False
 
@@ -99,7 +72,7 @@ class Worker:
 
     def __exit__(self, *_: object) -> None:
         """End the process of the solves and give the core back."""
-        self._contained.close()
+        self._process.close()
         if self._core is not None:
             self._core[1].close()
             self._core = None
@@ -116,10 +89,27 @@ class Worker:
 
     def row(self, solve: PlannedSolve) -> Record:
         """The row of a solve, not written anywhere."""
-        row = self._contained.solve(solve, self._folder)
+        row = self.solved(solve)
         wall, cpu = row.get("task_time_s"), row.get("cpu_time_s")
         busy = bool(wall and cpu is not None and cpu < ALONE * wall)
         return {**row, "shared": self._core is None or busy, "worker": self._rows.name}
+
+    def solved(self, solve: PlannedSolve) -> Record:
+        """What the process answers, whatever happens to it; it keeps the fields in the folder."""
+        request = json.dumps({"solve": solve.plain(), "folder": str(self._folder)})
+        seconds = solve.time_s * GRACE + GRACE_S
+        answer = self._process.ask(request.encode(), self._session, seconds, solve.memory_mb)
+        if answer.line is not None:
+            if self._process.megabytes > 0.5 * solve.memory_mb:
+                self._process.close()  # what a leak has left is not charged to the next solve
+            row: Record = json.loads(answer.line)
+            return row
+        said = {
+            "time_limit": f"killed after {answer.seconds:.1f} s: the limit is {solve.time_s:g} s",
+            "memory_limit": f"killed with more memory than the limit of {solve.memory_mb:g} MB",
+            "died": f"its process ended twice, at last with code {answer.code}",
+        }
+        return failure(solve, answer.why, said[answer.why], answer.seconds)
 
 
 @functools.lru_cache(maxsize=1)

@@ -14,7 +14,7 @@ from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
 from rmesh_nlp.study.comparison import plan_comparison, run
 from rmesh_nlp.study.runner import Done, failure, perform
-from rmesh_nlp.study.worker import Contained
+from rmesh_nlp.study.worker import Worker
 from support.planted import plant, raising
 from support.problem_files import VALID
 
@@ -236,21 +236,22 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, mon
 @pytest.mark.slow
 def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, monkeypatch):
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""
-    got, contained = [], Contained(None, None)
+    got = []
 
     def by_workers(todo, folder, jobs):
         for one in todo:
             got.append(one.key)
             is_lost = one.formulation != "auto"
-            row = failure(one, "died", "killed") if is_lost else contained.solve(one, folder)
+            with Worker(folder) as worker:
+                row = failure(one, "died", "killed") if is_lost else worker.solved(one)
             yield one, Done(row, aside=Results(folder).result(row))
 
     monkeypatch.setattr(engine, "_by_workers", by_workers)
     more = [planned("auto"), planned("joint")]
     *_, auto, lost = run([*plan, *more], Results(ran), resume=True, jobs=2)
-    contained.solve(replace(plan[1], fields=False), ran / "bare")
+    with Worker(ran / "bare") as worker:
+        worker.solved(replace(plan[1], fields=False))
     assert not (ran / "bare" / "solutions").exists()
-    contained.close()
     assert got == [one.key for one in more]
     (alone,) = run(more[:1], Results(ran / "alone"))
     differ = {name for name in alone if auto.get(name) != alone[name]}

@@ -20,7 +20,7 @@ from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.rows import RowsFile
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.study_file import read_study
-from rmesh_nlp.study.worker import Contained
+from rmesh_nlp.study.worker import Worker
 from support.planted import install
 
 SMALL = 'random = { seed = 0, count = 3 }\nformulations = ["fixed"]\n'
@@ -60,12 +60,12 @@ def answers(monkeypatch):
     """Statuses by key, with which contained solves end; ``SOLVED`` has the keys that were solved."""
     statuses = dict.fromkeys((one.key for one in PLAN), "converged")
 
-    def solve(self, one, folder):
+    def solve(self, one):
         status = statuses[one.key]
         SOLVED.append(one.key)
         return {"key": one.key, "success": status == "converged", "status": status}
 
-    monkeypatch.setattr(Contained, "solve", solve)
+    monkeypatch.setattr(Worker, "solved", solve)
     SOLVED.clear()
     return statuses
 
@@ -128,12 +128,12 @@ def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path):
 def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, monkeypatch, capsys):
     left = [*statuses]
 
-    def solve(self, one, folder):
+    def solve(self, one):
         row = failure(one, left.pop(0), "as planned")
         measured = {**dict.fromkeys(MEASURED, 1), "success": True}
         return row | measured if row["status"] == "converged" else row
 
-    monkeypatch.setattr(Contained, "solve", solve)
+    monkeypatch.setattr(Worker, "solved", solve)
     path = study_file(tmp_path, SMALL.replace("3", "2"))
     assert cli.run(["study", path, "--out", str(tmp_path / "out"), "--quiet"]) == code
     assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
@@ -265,7 +265,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch, capsys
 def test_a_solve_that_did_not_have_a_core_to_itself_is_marked(tmp_path, monkeypatch):
     """By cores that no machine has, so that studies which run beside the tests do not matter."""
     cpu = [0.91]
-    monkeypatch.setattr(Contained, "solve", lambda *_: {"task_time_s": 1.0, "cpu_time_s": cpu[0]})
+    monkeypatch.setattr(Worker, "solved", lambda *_: {"task_time_s": 1.0, "cpu_time_s": cpu[0]})
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {900_001, 900_002})
 
     def shared(*workers):
