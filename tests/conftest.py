@@ -10,6 +10,7 @@ from hypothesis import settings
 
 from rmesh_nlp.optimize import budget
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving import driver
 from support.problems import sloped_block
 
 # the same inputs in every run: a test fails for a change, not by chance; scripts/ draw other ones
@@ -29,9 +30,16 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(autouse=True)
-def unit_of_cost_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tests never look at seconds, so the cold contact solve that is the unit of cost is not repeated."""
+def nothing_that_no_test_looks_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cold contact solve that is the unit of cost is not repeated; errors are not estimated unasked."""
     monkeypatch.setattr(budget, "TIMING_SECONDS", 0.0)
+    monkeypatch.setattr(driver, "MOST", 0)
+
+
+@pytest.fixture
+def estimates_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors are estimated after each solve on a small mesh, as for users."""
+    monkeypatch.setattr(driver, "MOST", 2000)
 
 
 @pytest.fixture

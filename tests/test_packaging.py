@@ -25,6 +25,8 @@ from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import available, find
 
+pytestmark = pytest.mark.usefixtures("estimates_unasked")
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -109,6 +109,7 @@ def test_solutions_side_by_side_share_their_scale(comparison: rm.Comparison) -> 
     assert limits == [(np.min(sizes), np.max(sizes))] * 2
 
 
+@pytest.mark.slow
 def test_a_gradient_passes_its_taylor_test_and_a_wrong_one_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
     test = rm.verify_gradient(rm.EXAMPLES["6.3"](n=(4, 2)))
     assert test

@@ -183,6 +183,7 @@ def test_a_bump_narrower_than_the_triangles_is_seen_inside_them(order: int) -> N
     assert ContactSolver(problem).solve(problem.mesh.p).energy < found.energy - 1e-3
 
 
+@pytest.mark.slow
 def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises() -> None:
     hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * ca.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
     problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill)
@@ -226,6 +227,7 @@ def ring_on_a_shaft(n: int, order: int) -> tuple[ContactProblem, float]:
     return problem, np.pi / 4 * pressure * overlap
 
 
+@pytest.mark.slow
 def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_too() -> None:
     """And by the second of order 1, always from above; normals turn along edges."""
     for order, least in ((1, 1.8), (2, 3.4)):
@@ -354,6 +356,7 @@ def test_in_triangles_nothing_below_the_gaps_about_their_points_is_overlooked(be
     assert np.min(cells.gaps(u)[corner]) <= 2 - (49 / 96) ** 2
 
 
+@pytest.mark.slow
 def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_first() -> None:
     """Of a coarse quarter of a disc nodes keep off so far that the springs begin without any force."""
     problem = replace(aimed()[17].problem(), order=2)
@@ -362,6 +365,7 @@ def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_fir
     assert admissible(problem).energy < high.energy - 0.05 * abs(high.energy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_what_is_returned_is_admissible_and_its_energy_that_of_itself(order: int) -> None:
     """Refined where contact ends and beside the support, where springs leave the deepest penetration."""
@@ -379,6 +383,7 @@ def test_what_is_returned_is_admissible_and_its_energy_that_of_itself(order: int
     np.testing.assert_allclose(own.field.values(found.state.u), found.displacement, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("gap", [0.02, 1 / 8])
 def test_friction_is_the_least_along_edges_and_not_at_nodes(gap: float, order: int) -> None:

@@ -193,6 +193,7 @@ def residual(problem: ContactProblem, push: float = 1.0, motion: float = 1.0) ->
     return found
 
 
+@pytest.mark.slow
 def test_falls_with_the_edges_on_a_solution_that_sticks_and_slides() -> None:
     """The exact solution has a continuous stress and a slip of the third power of the distance."""
     coarse, fine = (residual(block(n, order=2)) for n in (4, 8))
@@ -242,6 +243,7 @@ def test_growth_is_said_above_a_hundredth_only() -> None:
     assert f"A record warns where relocation has more than doubled it, above {CLEAR:g}." in page
 
 
+@pytest.mark.slow
 def test_record_and_summary_have_both_and_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = slab(1.0)
     found = rm.solve(problem, "fixed")
@@ -279,6 +281,7 @@ def truth(problem: ContactProblem) -> float:
     return energies[-1] - two * (two / one) / (1 - two / one)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_interval_holds_from_one_refinement_and_from_two(order, monkeypatch) -> None:
     before, after = graded(103, order)  # the interval was chosen on seeds 0 to 39
@@ -294,6 +297,7 @@ def test_the_interval_holds_from_one_refinement_and_from_two(order, monkeypatch)
         assert found.factor <= errors[0] / errors[1] <= found.factor_upper
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_where_linear_triangles_lock() -> None:
     def claimed(poisson: float, order: int) -> bool:
         law, sides = PlaneStrain.from_young(1000.0, poisson, (0.0, -50.0)), ("left",)

@@ -303,6 +303,7 @@ def test_what_cannot_be_certified_is_said(changes, reason):
         bracket(problem, problem.mesh.p, guess_on(problem, np.zeros(problem.mesh.p.shape)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("held", [ROLLERS[:1], ()])
 def test_body_that_contact_alone_holds_is_bounded(held, order):

@@ -55,6 +55,7 @@ def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
     assert found.relative == pytest.approx(found.error_bound / np.sqrt(-2 * solution.energy))
 
 
+@pytest.mark.slow
 def test_the_error_bound_is_one_of_the_computed_displacement_under_a_coarse_rule_too() -> None:
     """The admissible displacement, whose energy is the upper bound, is found by an accurate rule."""
     source = Laplace(lambda x, y: 10 * np.pi**2 * ca.sin(3 * np.pi * x) * ca.sin(np.pi * y))
@@ -124,6 +125,7 @@ def test_bounds_that_contradict_each_other_are_withdrawn(monkeypatch: pytest.Mon
     assert not any(bounds.guaranteed for bounds in found.bounds.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [1e-6, float("nan")])
 def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch: pytest.MonkeyPatch) -> None:
     build = bracketing.equilibrated
@@ -172,6 +174,7 @@ def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
     assert first.lower != pytest.approx(last.lower, rel=1e-2)  # so that neither serves the other
 
 
+@pytest.mark.slow
 def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
     """Its displacement is of the body, and the bounds would be those of a polygon."""
     problem = ContactProblem(
@@ -187,6 +190,7 @@ def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
     assert "take order = 1" in remark
 
 
+@pytest.mark.slow
 def test_console_record_and_file_hold_the_certificate_and_figures_show_it(tmp_path, capsys) -> None:
     assert run(["solve", "6.3", "--n", "4x2", "--certify", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
@@ -213,6 +217,7 @@ def test_console_record_and_file_hold_the_certificate_and_figures_show_it(tmp_pa
     assert "relocated, error at most" in titles[1]
 
 
+@pytest.mark.slow
 def test_why_there_is_no_certificate_is_printed(tmp_path, capsys) -> None:
     circle = "circle = { centre = [1, -5.01], radius = 5 }"
     text = VALID.replace('height = "-0.01*x**2"', circle).replace('right = ["free", 0.0]\n', "")

@@ -15,6 +15,8 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.summary import summary
 
+pytestmark = pytest.mark.usefixtures("estimates_unasked")
+
 FORCE = 88.198
 """Normal force of the body below by a mesh of order 2 with 2,334 vertices, refined where the error is."""
 
@@ -46,6 +48,7 @@ def test_where_contact_ends_within_an_edge_the_place_is_part_of_the_error() -> N
     assert abs(force.value - FORCE) < force.error
 
 
+@pytest.mark.slow
 def test_change_of_contact_is_part_of_the_error() -> None:
     """On the next mesh other nodes touch, and the correction alone is a third of the error."""
     wave = rm.Obstacle.graph("bottom", lambda x, y: -0.005 + 0.003 * ca.sin(3.93 * x + 0.75))
@@ -59,6 +62,7 @@ def test_change_of_contact_is_part_of_the_error() -> None:
     assert error < force.error < 2 * error
 
 
+@pytest.mark.slow
 def test_quantities_of_the_displacement_and_windows_are_corrected() -> None:
     names = "mean(top, -uy)", "pressure(bottom, x)", "energy"
     coarse, fine = estimated(BODY, *names), estimated(replace(refined(BODY), order=2), *names)
@@ -80,6 +84,7 @@ def test_with_coulomb_friction_the_dual_adds_slips_to_gaps(order: int, bound: fl
         assert abs(one.value - true.value) < abs(one.computed - true.value) / times
 
 
+@pytest.mark.slow
 def test_gaps_between_nodes_count_in_what_is_linear_in_the_displacement() -> None:
     """Contact alone holds the block: its mean height is that of the foundation, to which order 1 adds."""
     bowl = rm.Obstacle.graph("bottom", lambda x, y: 0.002 * (x - 2) ** 2)
@@ -88,6 +93,7 @@ def test_gaps_between_nodes_count_in_what_is_linear_in_the_displacement() -> Non
     assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 3
 
 
+@pytest.mark.slow
 def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> None:
     problem = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
     (coarse,), (fine,) = (estimated(p, "resultant(bottom)") for p in (problem, refined(problem)))

@@ -122,6 +122,7 @@ def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> 
     assert not found.bounds[needle].guaranteed
 
 
+@pytest.mark.slow
 def test_what_is_not_proved_under_the_load_of_a_quantity_does_not_bound_it(monkeypatch) -> None:
     build, given = certifying.refined_bracket, solved_body(2, 1, 0.0).problem.tractions
 
@@ -142,6 +143,7 @@ def test_a_foundation_that_touches_a_support_has_a_lower_bound_alone() -> None:
     assert upper == np.inf
 
 
+@pytest.mark.slow
 def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
     lower, upper = bounds_of(replace(body(2, 2, 0.0), obstacle=Obstacle("bottom", offset=1.0)))
     assert 0 == lower < upper < 1e-2 * value_on(body(2, 2, 0.0), "resultant(bottom)")

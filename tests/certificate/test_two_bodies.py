@@ -21,6 +21,8 @@ from support.bodies import STEEL, pressed, stacked
 from support.certificates import guess_on
 from support.orders import ORDERS
 
+pytestmark = pytest.mark.usefixtures("estimates_unasked")
+
 BOTH = pytest.mark.parametrize("order", ORDERS)
 FRICTION = {"none": {}, "tresca": {"friction": lambda x, y: 0.5 + 0.2 * x}}
 
@@ -95,6 +97,7 @@ def test_bounds_hold_what_a_finer_mesh_finds(name: str, order: int) -> None:
     assert set(found.bounds) >= forces[name[:4]]
 
 
+@pytest.mark.slow
 @BOTH
 def test_uniform_pressure_through_blocks_is_proved_exactly(order: int) -> None:
     found = rm.certify(rm.solve(pressed(stacked(3), order=order), "fixed"))
@@ -105,6 +108,7 @@ def test_uniform_pressure_through_blocks_is_proved_exactly(order: int) -> None:
         assert [bounds.lower, bounds.upper] == pytest.approx([10, 10], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_force_of_a_crack_with_a_tip_has_a_lower_bound_and_windows_have_both() -> None:
     """No displacement has one jump up to a tip, but those that vanish there."""
     mesh, window = rectangle(6, 6), "pressure(joint, x - 1/3)"
@@ -141,6 +145,7 @@ def test_equilibrium_across_a_pair_and_of_a_tool_is_checked(name: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_estimates_improve_force_and_energy_of_a_pair() -> None:
     solution, fine = solved("pair, tresca", 1, 0), solved("pair, tresca", 1, 1)
     energy, force = (solution.record()["estimates"][text] for text in ("energy", "resultant(bottom-1)"))
@@ -158,6 +163,7 @@ def test_refinement_proves_the_force_of_a_pair() -> None:
     assert force["lower"] < solved("pair, none", 1, 1).contact["bottom-1"]["normal_force"] < force["upper"]
 
 
+@pytest.mark.slow
 def test_force_of_a_crack_with_a_tip_is_estimated_by_richer_displacements() -> None:
     """No displacement opens it at its tip: the integral of an equilibrated pressure corrects nothing."""
     crack = {"crack": lambda x: np.isclose(x[1], 0.5) & (x[0] < 1.5)}
@@ -186,6 +192,7 @@ def test_force_on_a_circle_between_two_bodies_is_as_accurate_as_asked() -> None:
     assert estimate["value"] == pytest.approx(184.08, rel=1e-3)  # Lame, docs/two_bodies.md
 
 
+@pytest.mark.slow
 def test_best_known_values_obey_guaranteed_bounds() -> None:
     solution = rm.solve(pressed(stacked(2)), "fixed", certify=True)
     certificate, found = solution.certificate, solution.details["estimates"]

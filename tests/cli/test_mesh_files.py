@@ -28,6 +28,7 @@ def test_check_lists_what_is_in_a_mesh_file(rmesh) -> None:
     assert Path("body.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_problem_of_a_mesh_file_has_its_names_and_runs(rmesh) -> None:
     """Of boundaries without names conditions say which they are."""
     Path("meshes").mkdir()

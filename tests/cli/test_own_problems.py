@@ -86,6 +86,7 @@ def test_template_of_two_bodies_is_in_order_and_solves(rmesh) -> None:
     assert record()["contact"]["joint"]["normal_force"] == pytest.approx(100, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None:
     block.write_text(BLOCK.replace("[0, -10]", "[0, 10]"))
     said = rmesh("check block.toml")
@@ -166,6 +167,7 @@ def test_ctrl_c_during_the_audit_or_while_figures_are_drawn_keeps_the_solution(r
     assert Path("one/figures/mesh.png").exists()
 
 
+@pytest.mark.slow
 def test_check_says_what_to_do_about_missing_names(rmesh, block: Path) -> None:
     points, triangles = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [[0, 1, 2], [0, 2, 3]]
     meshio.Mesh(points, [("triangle", triangles)]).write("body.vtk")
@@ -196,6 +198,8 @@ motion = { delta = { relative = 0.3 } }
 """
 
 
+@pytest.mark.usefixtures("estimates_unasked")
+@pytest.mark.slow
 def test_a_pressed_block_has_nothing_to_gain(rmesh) -> None:
     """Its displacement is linear: all energies agree up to rounding."""
     Path("flat.toml").write_text(PRESSED)
@@ -299,6 +303,7 @@ def test_a_design_from_its_file_to_tables_and_figures(rmesh) -> None:
     assert rmesh("report c").code == 0
 
 
+@pytest.mark.slow
 def test_tool_is_pressed_step_by_step(rmesh) -> None:
     """What a step leaves out stays: the line, its friction, and what the body is held by."""
     Path("my.toml").write_text("""

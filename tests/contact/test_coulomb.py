@@ -190,6 +190,7 @@ class TestSolver:
         expected = spectral_radius(system, condensed(system), slide)
         assert 0.01 < expected == pytest.approx(contraction(system, replace(solve(system), active=stick)))
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7)])
     def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(self, seed, draw) -> None:
         """All branches of three contact nodes under random loads there."""
@@ -227,6 +228,7 @@ class TestSolver:
 
 
 class TestFormulations:
+    @pytest.mark.slow
     def test_nested_and_mpcc_lower_the_objective_and_are_measured_alike(self) -> None:
         ends = {name: rm.solve(slab(0.5, (4, 2)), name, objective=SAG) for name in ("nested", "mpcc")}
         for solution in ends.values():

@@ -341,6 +341,7 @@ def test_press_fit_of_revolution_has_the_pressure_of_thick_rings() -> None:
     assert force / (2 * np.pi * 20 * 4) == pytest.approx(5.859375, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["nested", "mpcc"])
 def test_interference_is_designed_for_a_force(formulation: str) -> None:
     """The force of two clamped blocks is linear in their interference."""

@@ -208,6 +208,7 @@ def test_overlaps_are_those_of_the_nodes_as_they_are() -> None:
     assert "by up to 0.01" in found[0]
 
 
+@pytest.mark.slow
 def test_what_the_given_mesh_was_warned_of_is_not_told_of_the_final_one() -> None:
     problem = sound(obstacle=Obstacle.graph("bottom", lambda x, y: 0.03 * x - 0.05))
     said = rm.solve(problem, "joint").record()["warnings"]

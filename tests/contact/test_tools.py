@@ -136,6 +136,7 @@ def test_body_between_two_foundations() -> None:
     assert solution.tools["top"]["displacement"][1] == pytest.approx(-strain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 def test_two_tools_on_one_boundary_and_a_corner_that_is_held(order: int) -> None:
     """Rows that share tools still have a basis, and those of tools alone a stand-off."""
@@ -199,6 +200,7 @@ def test_refused(said: str) -> None:
         REFUSED[said]()
 
 
+@pytest.mark.slow
 def test_shaft_that_is_all_that_holds_a_ring_has_the_pressure_of_lame() -> None:
     a, b, n = 17.5, 35.0, 4
     grid = rectangle(n, 6 * n, x=(a, b), y=(-np.pi / 2, np.pi / 2))
@@ -213,6 +215,7 @@ def test_shaft_that_is_all_that_holds_a_ring_has_the_pressure_of_lame() -> None:
     assert solution.contact["bore"]["normal_force"] / (np.pi * a) == pytest.approx(lame, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 80.0])
 def test_supports_that_move_the_other_way_stand_for_a_tool_that_moves(friction: float) -> None:
     tool, down = replace(PUNCH, friction=friction), (0.0, -0.01)
@@ -221,6 +224,7 @@ def test_supports_that_move_the_other_way_stand_for_a_tool_that_moves(friction: 
     assert rm.solve(other, "fixed").contact["top"]["force_y"] == pytest.approx(given["force_y"], rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 def test_derivatives_by_the_shape_of_a_tool_under_a_force(order: int) -> None:
     radius, slope = rm.DesignVariable("R", 2.0, (0.5, 8.0)), rm.DesignVariable("s", 0.05, (-0.3, 0.3))

@@ -55,6 +55,7 @@ def wave(x, y):
     return ca.sin(2 * x + y) + ca.if_else(x < y, x * y, y**3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [
@@ -130,6 +131,7 @@ def pulled(order: int) -> rm.ContactProblem:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
     problem = pulled(order)
@@ -147,6 +149,7 @@ def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
     np.testing.assert_allclose(np.sort(system.load), np.sort(exact[~held]), atol=1e-11)
 
 
+@pytest.mark.slow
 def test_the_energy_of_loads_that_jump_has_both_derivatives() -> None:
     outer = Outer.of(pulled(1))
     q, d = np.random.default_rng(1).uniform(-1, 1, (2, outer.n)) * [[0.1], [1]]

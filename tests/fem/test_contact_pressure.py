@@ -44,6 +44,7 @@ def slab(order: int, slope: float = 0.0, poisson: float = 0.0) -> rm.ContactProb
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_uniform_pressure_beside_a_support_is_exact(order: int) -> None:
     (found,) = results(slab(order)).values()
@@ -257,6 +258,7 @@ def test_even_pressure_at_planes_of_symmetry_of_a_ring() -> None:
     assert found.peak_pressure == pytest.approx(exact, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wide", "words"), [(1.0, "the end of the contact boundary"), (0.5, "kink")])
 def test_peak_without_a_limit_is_told(wide: float, words: str) -> None:
     """A punch: the body ends, or the foundation falls away."""

@@ -394,6 +394,7 @@ def test_files_are_beside_the_file_that_names_them() -> None:
     assert beside("fit(/m.csv) + mean(fit, -uy)", folder) == "fit(/m.csv) + mean(fit, -uy)"
 
 
+@pytest.mark.slow
 def test_moduli_and_friction_are_identified() -> None:
     """From the displacement at the lower edge of the same block with other numbers."""
     E, F = DesignVariable("E", 1.0, (0.5, 2.0)), DesignVariable("F", 0.05, (0.0, 0.3))

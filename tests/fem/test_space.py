@@ -69,6 +69,7 @@ def errors(problem: ContactProblem) -> tuple[int, list[float]]:
     return space.n_nodes, [function(np.zeros(0)) for function in functions]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_smooth_solution_has_full_rates(order: int) -> None:
     """Squared errors over the number of nodes N: N^-order in the energy norm, N^-(order + 1) in L2."""
@@ -158,6 +159,7 @@ def pressed_block(obstacle: Obstacle) -> ContactProblem:
     return ContactProblem(mesh, PlaneStrain(100.0, 80.0), (push,), obstacle, Motion(Relative(0.2)))
 
 
+@pytest.mark.slow
 def test_penetration_between_nodes_is_measured() -> None:
     curved = fixed.solve(pressed_block(Obstacle.graph("bottom", lambda x, y: -0.02 * (x - 0.5) ** 2)))
     # a parabola rises c h^2 / 4 above its chord; here edges of 1/4 touch with both ends
@@ -166,6 +168,7 @@ def test_penetration_between_nodes_is_measured() -> None:
     assert flat.assessment.final.penetration <= 1e-16
 
 
+@pytest.mark.slow
 def test_a_friction_bound_may_vary_with_position() -> None:
     bound = lambda x, y: 0.1 + 0.2 * x  # noqa: E731
     solution = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1), friction=bound)))
@@ -178,6 +181,7 @@ def test_a_friction_bound_may_vary_with_position() -> None:
     assert np.any(np.isclose(force, limit))
 
 
+@pytest.mark.slow
 def test_a_held_tangent_at_a_rough_contact_node_transmits_no_friction() -> None:
     problem = ContactProblem(
         rectangle(4, 2),

@@ -52,6 +52,7 @@ def test_force_is_as_accurate_as_asked(body: rm.ContactProblem) -> None:
     assert set(body.mesh.boundaries) == set(solution.mesh.boundaries)
 
 
+@pytest.mark.slow
 def test_relocation_of_last_mesh_keeps_its_nodes(body: rm.ContactProblem) -> None:
     solution = rm.solve(body, "joint", accuracy=0.05, limits={"iterations": 3})
     assert solution.mesh.p.shape[1] == solution.details["meshes"][-1]["nodes"]
@@ -67,6 +68,7 @@ def test_without_contact_the_energy_is_estimated() -> None:
     assert solution.success
 
 
+@pytest.mark.slow
 def test_bounds_decide_where_they_are_guaranteed(body: rm.ContactProblem) -> None:
     solution = rm.solve(body, accuracy=0.05, guaranteed=True)
     force = solution.details["estimates"]["resultant(bottom)"]
@@ -75,6 +77,7 @@ def test_bounds_decide_where_they_are_guaranteed(body: rm.ContactProblem) -> Non
     assert force["upper"] - force["lower"] <= 2 * 0.05 * force["value"]
 
 
+@pytest.mark.slow
 def test_energy_is_bounded_as_accurately_as_asked(body: rm.ContactProblem) -> None:
     solution = rm.solve(body, accuracy=0.1, guaranteed=True, quantities="energy")
     energy = solution.details["estimates"]["energy"]
@@ -83,6 +86,7 @@ def test_energy_is_bounded_as_accurately_as_asked(body: rm.ContactProblem) -> No
     assert energy["upper"] - energy["lower"] <= 0.1**2 * abs(energy["value"])
 
 
+@pytest.mark.slow
 def test_quantity_without_a_limit_is_no_success(body: rm.ContactProblem) -> None:
     growing = [Estimate(2.0**k, np.nan, 2.0**k, np.ones(128)) for k in range(9)]
     with pytest.MonkeyPatch.context() as patched:
@@ -121,6 +125,7 @@ def test_command_prints_estimates_and_a_row_for_each_mesh(
     assert record["estimates"]["mean(top, -uy)"]["value"] == pytest.approx(0.07185, rel=0.01)
 
 
+@pytest.mark.slow
 def test_meshes_are_drawn_compared_and_shown_as_they_come(body: rm.ContactProblem) -> None:
     told = list[Step]()
     rows = [
@@ -161,6 +166,7 @@ def test_bounds_that_stay_wide_end_the_refinement(body: rm.ContactProblem) -> No
     assert "would not suffice" in solution.details["estimates_remark"]
 
 
+@pytest.mark.slow
 def test_bounds_that_are_not_guaranteed_do_not_count(body: rm.ContactProblem) -> None:
     unsure = SimpleNamespace(bounds={"resultant(bottom)": Bounds(FORCE, FORCE, FORCE, False)})
     with pytest.MonkeyPatch.context() as patched:

@@ -159,6 +159,7 @@ def test_a_map_that_folds_triangles_is_not_taken(monkeypatch: pytest.MonkeyPatch
     assert rm.solve(accurate(6), coarsest=12, iterations=2).record()["gain_audited"] > 0
 
 
+@pytest.mark.slow
 def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
     problem = accurate(6)
     solution = rm.solve(problem, Cascade(coarsest=12), limits=rm.Limits(iterations=2))

@@ -85,6 +85,7 @@ def test_nested_reaches_its_bound(name: str) -> None:
     assert solution.trace.work.contact_solves >= solution.trace.iterations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["fixed", "nested", "joint", "mpcc"])
 def test_a_mesh_of_one_triangle_is_solved(formulation: str) -> None:
     """One unknown and no free node: load 1/6, stiffness 1/2. Then friction at one free node."""
@@ -99,6 +100,7 @@ def test_a_mesh_of_one_triangle_is_solved(formulation: str) -> None:
             solve(ContactProblem(mesh, Laplace(1.0), ("left", "bottom")))
 
 
+@pytest.mark.slow
 def test_the_symbolic_program_can_be_extended_and_handed_to_another_solver() -> None:
     nlp = joint_module.build(EXAMPLES["6.1"](3))
     start = np.zeros(nlp.n_x)

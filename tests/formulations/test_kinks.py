@@ -123,6 +123,7 @@ def test_where_a_descent_creeps_the_finish_begins_at_its_best_point(monkeypatch:
     np.testing.assert_array_equal(found.q, best)
 
 
+@pytest.mark.slow
 def test_an_end_that_was_asked_for_is_the_end() -> None:
     solution = rm.solve(SEAL, Nested(enough=0.1), objective=LEAK)
     assert solution.success

@@ -52,6 +52,7 @@ def test_bar_keeps_half_of_its_displacement_when_the_load_goes(friction: str, or
         assert len(solution.details.get("steps", [0])) == count + 1
 
 
+@pytest.mark.slow
 def test_what_a_step_does_not_name_stays_and_what_holds_nothing_slips_back() -> None:
     solution = rm.solve(bar(pulled(1.0), pulled(0.0)), "fixed")
     assert [load["bottom"]["normal_force"] for load in solution.details["steps"]] == pytest.approx(

@@ -61,6 +61,7 @@ def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
     assert after.energy <= before.energy + 1e-9 * abs(before.energy)
 
 
+@pytest.mark.slow
 def test_a_stationary_end_of_ipopt_is_left_as_it_is() -> None:
     record = joint.solve(EXAMPLES["6.1"](4)).record()
     assert "newton_steps" not in record
@@ -92,6 +93,7 @@ def test_an_end_above_where_it_began_is_none(monkeypatch: pytest.MonkeyPatch) ->
     np.testing.assert_array_equal(found.q, near)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("formulation", "n", "delta", "seed"),
     [
@@ -150,6 +152,7 @@ def settled(problem: ContactProblem, **options: Any) -> Solution:
     return solution
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.2", "6.3"])
 def test_few_contact_solves_lead_to_a_stationary_point_within_area_constraints(name: str) -> None:
     solution = settled(with_areas(name))
@@ -208,6 +211,7 @@ def test_newton_converges_where_angles_are_at_their_bounds() -> None:
     assert solution.energy <= joint.solve(problem).energy * (1 - 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", [joint, nested])
 def test_where_the_interior_point_leaves_the_valley_of_the_start_newton_lowers_the_energy(
     formulation: Any,
@@ -248,6 +252,7 @@ def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxat
     assert (record["stationarity"], record["b_stationary"]) == ("S", True)
 
 
+@pytest.mark.slow
 def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh() -> None:
     problem = example("6.1", 2)
     seen: list[Any] = []
@@ -306,6 +311,7 @@ def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) ->
     assert certified.trace.iterations < 40
 
 
+@pytest.mark.slow
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     # joint stopped early: what follows must not call its end stationary
     problem = example("6.3", (4, 2))
@@ -315,11 +321,13 @@ def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     assert accurate.assessment.first_order.stationarity == "S"
 
 
+@pytest.mark.slow
 def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
     assert {step.t for step in solved("joint", "6.3", (4, 2)).history} == {np.inf}
     assert {step.t for step in solved("nested", "6.3", (4, 2)).history} == {0.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("formulation", "name", "n"),
     [(mpcc, "6.1", 3), (joint, "6.2", (4, 2))],
@@ -333,6 +341,7 @@ def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, nam
     assert min(least_area_ratio(problem, positions.values(step.q)) for step in steps) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "kept"), [((0.9, 0.1), 1), ((0.1, 0.9), 0)])
 def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
     order: tuple[float, float], kept: int, monkeypatch: pytest.MonkeyPatch

@@ -70,6 +70,7 @@ def test_frames_of_a_design_have_its_numbers(tmp_path):
     assert not np.allclose(*frames)
 
 
+@pytest.mark.slow
 def test_friction_bound_is_given_plus_coulomb_times_the_pressure_of_each_node() -> None:
     problem = ContactProblem(
         rectangle(6, 3, x=(0, 2)),

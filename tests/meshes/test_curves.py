@@ -102,6 +102,7 @@ def test_a_triangle_that_its_arc_folds_has_no_energy(order: int) -> None:
         assert bool(np.isfinite(found)) is upright
 
 
+@pytest.mark.slow
 def test_relocation_of_order_2_beside_a_hole_is_not_lost_in_folded_triangles() -> None:
     solution = joint.solve(replace(plate({"hole": HOLE}), order=2))
     assert solution.status is Status.CONVERGED

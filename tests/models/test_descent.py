@@ -98,6 +98,7 @@ def test_nested_ends_at_a_minimum_with_a_distortion(name: str, size: int | tuple
     assert eigenvalues.min() > -1e-6 * eigenvalues.max()
 
 
+@pytest.mark.slow
 def test_the_gain_is_estimated_well_where_the_error_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a refined mesh, or by interpolation where none can be solved."""
     problem = replace(no_move_limits(EXAMPLES["6.1"](n=16)), quadrature=8)

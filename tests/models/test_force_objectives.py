@@ -104,6 +104,7 @@ TERMS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_derivatives_of_named_quantities(order: int) -> None:
     problem = replace(PROBLEMS["Coulomb, varying"](), order=order)

@@ -127,6 +127,7 @@ def test_coarser_meshes_keep_nodes_at_kinks_and_under_point_loads() -> None:
     assert coarse.mesh.p[0, coarse.kink_nodes] == pytest.approx([5 / 9])
 
 
+@pytest.mark.slow
 def test_a_decimated_problem_keeps_domain_names_and_corners() -> None:
     problem = refined(refined(random_problem(1)))
     rng = np.random.default_rng(1)

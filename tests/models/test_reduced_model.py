@@ -125,6 +125,7 @@ def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPat
     assert np.linalg.eigvalsh(stiffness).min() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "objective"), OBJECTIVES)
 def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
     """By the adjoint, which for the energy are those of the reduced energy."""

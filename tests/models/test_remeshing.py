@@ -63,6 +63,7 @@ def count(problem: ContactProblem) -> int:
 
 
 class TestNumberOfNodes:
+    @pytest.mark.slow
     @pytest.mark.parametrize("nodes", [20, 150])
     def test_is_met_up_to_two_percent_and_so_it_is_with_the_same_ratio_of_triangles(self, nodes: int) -> None:
         problem = scalar()
@@ -73,6 +74,7 @@ class TestNumberOfNodes:
         assert same == ratio  # of another trial it would differ
         np.testing.assert_array_equal(again.mesh.p, first.mesh.p)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("make", "nodes", "said"),
         [
@@ -144,6 +146,7 @@ class TestCurves:
         assert sagitta(plate()) == 0.0
 
 
+@pytest.mark.slow
 def test_the_least_angle_is_that_of_the_motion_or_more_and_small_if_none_is_asked_for() -> None:
     mesh = rectangle(4, 4)
     found = remade(scalar(mesh, motion=Motion(None, min_angle=30.0)))
@@ -163,6 +166,7 @@ def test_a_linear_displacement_gets_a_uniform_mesh(pull: float) -> None:
     assert start.energies[-1] == pytest.approx(-(pull**2) / 2, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_error_is_near_the_true_one_on_a_fine_mesh_and_that_of_all_regions() -> None:
     problem = signorini(48)
     whole = Solved.of(problem)
@@ -238,6 +242,7 @@ class TestRounds:
         with pytest.raises(ProblemError, match="not solved on a new mesh of 2"):
             metric_start(first, 25)
 
+    @pytest.mark.slow
     def test_error_of_example_61_falls_four_times(self) -> None:
         problem = signorini(10)
         start = metric_start(Solved.of(problem), count(problem))

@@ -83,6 +83,7 @@ def called(stub, *options):
     return read_sol(stub.with_suffix(".sol"))
 
 
+@pytest.mark.slow
 def test_executable_is_called_as_jump_calls_it(tmp_path):
     """AmplNLWriter.jl runs ``solver model.nl -AMPL key=value`` and takes an exit code but 0 for an error.
 

@@ -33,6 +33,7 @@ def block():
     return solver, solver(0.0, p=[0, 0, 1.0])
 
 
+@pytest.mark.slow
 def test_parameters_that_change_sides_of_pairs_take_newton_steps_alone(block):
     solver, known = block
     for p in ([0.0, 0.0, 0.3], [0.7, 0.0, 1.0]):

@@ -37,6 +37,7 @@ def test_best_is_what_any_start_has_proved(rows):
     assert best_of(ends).ends == tuple(ends)
 
 
+@pytest.mark.slow
 def test_verdicts_of_one_start_are_those_of_several():
     """Linear pairs none of whose eight branches has a point; a valley along which f falls as -3 y."""
     u = ca.SX.sym("u", 4)
@@ -78,6 +79,7 @@ ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3
 """Minima (1, 0) with f = 1 and (0, 1.05) with f = 0.8975; from t0 = 1e-4 each start keeps its arm."""
 
 
+@pytest.mark.slow
 def test_best_of_several_starts_says_what_they_reached_and_no_trajectory_is_followed_twice():
     many = solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
     assert many.x == pytest.approx([0, 1.05], abs=1e-7)

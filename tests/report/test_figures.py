@@ -111,6 +111,7 @@ def test_missing_or_broken_solution_file_is_named(tmp_path, content) -> None:
         list(figures_of([Result(joint_61(), path, tmp_path / "it.csv")], PAGE))
 
 
+@pytest.mark.slow
 def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path) -> None:
     drawn = [(name, new_figure(1, 1)) for name in ("a", "b", "a", "a")]
     for _, figure in drawn:
@@ -250,6 +251,7 @@ def drawings(solution: Solution, folder: Path) -> Sequence[Axes]:
     return [meshes.axes[1], grids.axes[1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("rise", "factor"), [(0.0, 10), (0.3, 1)])
 def test_flat_foundation_stays_flat_and_is_touched(
@@ -379,6 +381,7 @@ def test_other_boundaries_are_drawn_over_a_coordinate_or_the_arc_length() -> Non
     assert np.isnan(axis.lines[1].get_ydata()[3])  # lines apart stay apart
 
 
+@pytest.mark.slow
 def test_names_of_figures_have_no_weight_of_a_distortion(tmp_path: Path) -> None:
     result = saved(pressed(0.0), tmp_path)
     known = {"formulation": "joint", "key": "a-joint-0.01", "objective": "energy + 0.0109 shape-size"}

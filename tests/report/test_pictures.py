@@ -74,6 +74,7 @@ def test_nothing_that_is_zero_is_drawn(tmp_path: Path) -> None:
     assert [name for name, _ in drawn] == ["mesh", "displacement", "flux"]
 
 
+@pytest.mark.slow
 def test_the_contact_set_of_a_membrane_is_where_it_touches(tmp_path: Path) -> None:
     problem = membrane()
     result = saved(joint.solve(problem), tmp_path)

@@ -67,6 +67,7 @@ def columns(rows: list[Record], *names: str) -> list[list[str]]:
     return [[row[head.index(name)] for row in table] for name in names]
 
 
+@pytest.mark.slow
 def test_failure_is_a_failure_in_table_and_profiles() -> None:
     rows = [fixed_61(), joint_61(variant="a"), failed(fixed_61(), variant="a", example="other")]
     rows += [joint_61(variant="b"), joint_61(variant="b", example="other")]

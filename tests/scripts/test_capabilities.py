@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("estimates_unasked")
+
 ROOT = Path(__file__).parents[2]
 FIRST, *SECTIONS = (ROOT / "docs" / "notes" / "capabilities.md").read_text(encoding="utf-8").split("\n## ")
 SETUP = FIRST.split("```python\n")[1].split("```")[0]

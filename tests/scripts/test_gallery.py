@@ -11,6 +11,8 @@ from gallery import design, free_boundary, kinks, mpcc_traps, of_file, signorini
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.problem_file import read_table
 
+pytestmark = pytest.mark.usefixtures("estimates_unasked")
+
 FOLDER = Path(kinks.__file__).parent
 
 

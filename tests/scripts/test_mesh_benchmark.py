@@ -67,6 +67,7 @@ def test_plain_solver_agrees_with_the_package(name: str, order: int) -> None:
         assert case.error_of(found) == pytest.approx(case.error(problem), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "order", "rate"), [("L-shape r^(2/3)", 2, 1.7), ("wedge", 2, 1.7), ("L-shape r^(2/3)", 1, 0.9)]
 )

@@ -39,6 +39,7 @@ def cells_of(path):
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in path.read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_the_table_counts_solved_and_lowest_and_a_resumed_run_solves_what_is_missing(tmp_path):
     path = tmp_path / "collection.py"
     path.write_text(COLLECTION)
@@ -78,6 +79,7 @@ def test_a_solver_that_dies_is_a_row():
     assert isolated(lambda: 7, 20.0) == 7
 
 
+@pytest.mark.slow
 def test_large_families_end_exact_and_are_drawn(tmp_path):
     """16 pairs of each."""
     rows = []
@@ -95,6 +97,7 @@ def test_large_families_end_exact_and_are_drawn(tmp_path):
     assert not (tmp_path / "none.png").exists()
 
 
+@pytest.mark.slow
 def test_profile_has_ratios_of_times_and_what_does_not_end_lowest_is_infinite(tmp_path):
     """A second solver takes 3 times the first's time on a, misses the minimum of b, and alone solves c."""
     ends = {("a", "one"): (1.0, 0.0), ("a", "two"): (3.0, 0.0), ("b", "one"): (2.0, 0.0),
@@ -118,6 +121,7 @@ def solution(name, size):
     return result
 
 
+@pytest.mark.slow
 def test_clock_stands_still_while_the_ball_turns():
     """Unknowns of a step: thrust, q, v, mu, clock, theta. One of the modes holds, and f knows no clock."""
     result = solution("time-freezing", 10)

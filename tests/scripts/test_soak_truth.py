@@ -59,6 +59,7 @@ def test_obstacle_below_a_string(order: int) -> None:
     assert abs(found.energy - exact) <= found.bar < 3e-3 * abs(exact)
 
 
+@pytest.mark.slow
 def test_energies_that_do_not_fall_regularly_are_known_less() -> None:
     """A membrane over a bump that is narrower than elements at first, J* by 9,000 nodes and more."""
     found = reference(replace(aimed()[32], order=2), 1000)

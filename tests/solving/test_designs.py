@@ -57,6 +57,7 @@ def test_prescribed_resultant() -> None:
     assert not found.problem.design
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_constraint_of_two_variables(formulation: str) -> None:
     """The least stiffness that carries the load: at the largest lift, by the constraint on it."""
@@ -90,6 +91,7 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     assert record["resultant"] >= 100 * (1 - 1e-6)
 
 
+@pytest.mark.slow
 def test_a_solve_goes_on_from_a_design() -> None:
     first = lifted()
     again = rm.solve(column(LIFT), "nested", objective=PRESCRIBED, start=first)
@@ -124,6 +126,7 @@ def test_an_expression_of_a_design_may_be_a_number() -> None:
         assert rm.Outer.of(column(LIFT), f"design({text})").function(np.zeros(1)).value == value
 
 
+@pytest.mark.slow
 def test_designs_leave_given_displacements_admissible() -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
     lift = rm.DesignVariable("lift", 0.0, (-0.01, 0.01))
@@ -216,6 +219,7 @@ def limited() -> tuple[Outer, np.ndarray]:
     return at_random(block(E, F, BOW, constraints=LIMITED, n=(4, 2)))
 
 
+@pytest.mark.slow
 def test_rows_of_constraints_are_those_of_the_kkt_model(limited: tuple[Outer, np.ndarray]) -> None:
     outer, q = limited
     constraints, point = ReducedConstraints(outer.conditions), outer.function(q)

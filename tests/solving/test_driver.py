@@ -34,6 +34,7 @@ def problem() -> ContactProblem:
     return EXAMPLES["6.2"]((4, 2))
 
 
+@pytest.mark.slow
 def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactProblem) -> None:
     seen: list[Step] = []
     solution = solve(problem, Alternating(first_step=0.1), tolerance=3e-2, on_step=seen.append)
@@ -92,6 +93,7 @@ def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactPro
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["tracked", "raised"])
 def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) -> None:
     """A formulation that only goes uphill."""
@@ -125,6 +127,7 @@ def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> N
     assert solution.record()["energy"] is None
 
 
+@pytest.mark.slow
 def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: ContactProblem) -> None:
     begun: list[tuple[Outer, Array]] = []
 

@@ -114,6 +114,7 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     assert replace(made, certificate_remark="no").record()["certificate_remark"] == "no"
 
 
+@pytest.mark.slow
 def test_a_design_is_recorded_with_its_start_its_bounds_and_what_is_constrained() -> None:
     twice = (*LIMITED, Constraint("body(ux**2)", (1e-9, np.inf)))
     problem = replace(block(E, BOW, constraints=twice, n=(3, 1)), motion=Motion(0))
@@ -249,6 +250,7 @@ SOLVES: dict[str, tuple[str, Any, dict[str, Any]]] = {
 }
 
 
+@pytest.mark.usefixtures("estimates_unasked")
 @pytest.mark.parametrize("formulation", SOLVES)
 def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -> None:
     example, size, options = SOLVES[formulation]
@@ -259,6 +261,7 @@ def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -
     assert read_record(to_json(record), "here")["formulation"] == record["formulation"]
 
 
+@pytest.mark.usefixtures("estimates_unasked")
 def test_contact_results_have_the_units_of_the_problem() -> None:
     def labels(example: str) -> list[str]:
         problem = replace(EXAMPLES[example]((2, 2)), units=Units("mm", "N"))

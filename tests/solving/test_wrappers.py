@@ -70,6 +70,7 @@ class TestMultiStart:
         found = Monitor().run(MultiStart(script.formulation, len(parts) - 1), outer, np.zeros(outer.n))
         return script, found, outer
 
+    @pytest.mark.slow
     def test_the_best_is_the_valid_end_of_least_continuous_energy(self, problem: ContactProblem) -> None:
         script, found, outer = self.made(problem)
         np.testing.assert_array_equal(found.q, script.ends[2].q)
@@ -84,6 +85,7 @@ class TestMultiStart:
             "start_spread": np.nanmax(energies) - np.nanmin(energies),
         }
 
+    @pytest.mark.slow
     def test_of_another_objective_the_best_has_its_least_value(self, problem: ContactProblem) -> None:
         script, found, outer = self.made(problem, "body(-u)")
         values = [outer.function(end.q).value for end in script.ends if outer.is_valid(end.q)]
@@ -107,6 +109,7 @@ class TestMultiStart:
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
 
+@pytest.mark.slow
 def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: ContactProblem) -> None:
     free, steps = replace(problem, motion=Motion(None)), []
     script = Script(0.01, 0.02, 0.03, tracks=True)
@@ -136,6 +139,7 @@ def given() -> ContactProblem:
 
 
 class TestRemeshed:
+    @pytest.mark.slow
     def test_the_inner_formulation_runs_on_the_new_mesh_and_energies_are_of_the_given_one(self, given):
         script = Script(0.001)
         solution = solve_once(given, Remeshed(script.formulation, 27))
@@ -151,6 +155,7 @@ class TestRemeshed:
         assert solution.assessment.gain_audited > 0
         assert solution.problem.mesh.boundaries.keys() == given.mesh.boundaries.keys()
 
+    @pytest.mark.slow
     def test_ctrl_c_keeps_the_new_mesh(self, given: ContactProblem) -> None:
         inner = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
         solution = solve(given, Remeshed(inner))

@@ -161,6 +161,7 @@ def test_two_solves_of_one_key_or_what_is_in_the_way_are_found_before_anything_i
             list(run(solves, Results(tmp_path), on_start=lambda _: pytest.fail("it began to solve")))
 
 
+@pytest.mark.slow
 def test_a_failure_an_interrupted_solve_and_one_without_its_files_are_solved_again(plan, ran):
     one = plan[1]
     for entries in ({"success": False}, {"status": "interrupted"}):
@@ -188,6 +189,7 @@ def test_resume_repairs_duplicates_and_a_cut_line(plan, ran):
     assert path.read_text().splitlines()[:-1] == whole.splitlines()
 
 
+@pytest.mark.slow
 def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(plan, ran):
     twice, certified = (replace(plan[1], **changes) for changes in ({"repeats": 2}, {"certify": True}))
     for wanted in (twice, certified):
@@ -233,6 +235,7 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, mon
     assert resumed(plan, tmp_path) == [one.key for one in plan]
 
 
+@pytest.mark.usefixtures("estimates_unasked")
 @pytest.mark.slow
 def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, monkeypatch):
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""

@@ -47,6 +47,7 @@ def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path):
     assert [solve.name for solve in plan[::16]] == ["6.1", "random-5"]
 
 
+@pytest.mark.slow
 def test_the_study_of_the_page_and_the_settings_that_the_template_suggests_are_valid(path):
     path.with_name("my.toml").write_text(VALID)
     page = (Path(__file__).parents[2] / "docs/studies.md").read_text()
@@ -147,6 +148,7 @@ def test_a_study_without_objectives_has_those_of_its_files(path, stated, objecti
     assert found == {"6.1": None, "block": objective}
 
 
+@pytest.mark.slow
 def test_a_dry_run_of_the_template_lists_the_keys_and_writes_nothing(path, capsys):
     assert cli.run(["new", "--study", str(path)]) == 0
     assert cli.run(["check", str(path)]) == 0
