@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import shutil
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -86,19 +87,34 @@ autosummary_imported_members = False
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"  # a type without a meaning helps nobody
 autodoc_member_order = "bysource"
+autodoc_type_aliases = {name: name for name in ("Array", "Index", "Mask", "Expression", "Coefficient")}
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 
 
 def add_inherited_fields(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Append the ``Attributes`` of base classes: a reader of a class sees the meaning of every field."""
+    """Append the ``Attributes`` of base classes: a reader of a class sees the meaning of every field.
+
+    An enumeration gets its members. A colon in the first line of a property becomes a dash.
+    """
+    if what == "property" and lines:
+        lines[0] = lines[0].replace(": ", " – ")  # napoleon takes what is before a colon for a type
     if what != "class":
         return
+    if issubclass(obj, Enum):
+        lines.extend(["", *(f"- ``{one.value}``: {getattr(one, 'message', '')}" for one in obj)])
     for base in obj.__mro__[1:]:
         text = inspect.getdoc(base) if base.__module__.startswith(("rmesh_nlp", "formulations")) else ""
         _, heading, fields = (text or "").partition("Attributes\n----------\n")
         if heading and "".join(fields.split()) not in "".join("".join(lines).split()):
             lines.extend(["", *heading.splitlines(), *fields.split("\n\n")[0].splitlines(), ""])
+
+
+def has_no_meaning(app: Any, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
+    """Whether a member gets no entry: fields stand in the text of their class, others in that of a base."""
+    made = obj.fget if isinstance(obj, property) else getattr(obj, "func", obj)
+    home = getattr(made, "__module__", None) or ""
+    return None if home.startswith(("rmesh_nlp", "formulations")) and inspect.isroutine(made) else True
 
 
 def with_summaries(text: str, folder: str) -> str:
@@ -124,6 +140,7 @@ def for_sphinx(app: Any, name: str, source: list[str]) -> None:
 def setup(app: Any) -> None:
     """Register the hooks above, and write the names that get pages."""
     app.connect("autodoc-process-docstring", add_inherited_fields, priority=400)
+    app.connect("autodoc-skip-member", has_no_meaning)
     app.connect("source-read", for_sphinx)
     names = ROOT / "docs" / "reference" / "names.rst"
     names.parent.mkdir(exist_ok=True)
