@@ -121,7 +121,7 @@ class Adaptive(Wrapper):
             nonlocal reached
             outer, budget = reached.outer, monitor.budget
             while True:
-                on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
+                on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.n_vertices
                 budget.iterations = number
                 monitor.work += Work(1, 1, on.state.iterations)
                 sequence.append(estimates(on, every))

@@ -144,7 +144,7 @@ class Levels(Formulation):
                     return
                 ends.append(outcome)
                 done = {
-                    "nodes": problem.mesh.p.shape[1],
+                    "nodes": problem.n_vertices,
                     "triangles": problem.mesh.nelements,
                     "energy": outcome.outer.energy(outcome.q).equilibrium.energy,  # without the distortion
                     "iterations": budget.iterations - first,
@@ -188,7 +188,7 @@ class Levels(Formulation):
     def _weighted(self, level: Outer, coarser: Outer) -> Outer:
         """The energy with the distortion on a finer mesh: its error falls like the number of nodes."""
         chosen, problems = self.settings, (coarser.problem, level.problem)
-        coarse, fine = (float(problem.mesh.p.shape[1]) ** problem.order for problem in problems)
+        coarse, fine = (float(problem.n_vertices) ** problem.order for problem in problems)
         error = (coarser.gain or 0.0) * coarse / fine
         objective = regularised(error, chosen.regularisation, chosen.distortion)
         return level.minimising(objective, error)

@@ -54,7 +54,7 @@ class Remeshed(Wrapper):
             raise BadInputError(f'{said}: remeshing needs relative ones, or none (delta = "none")')
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        nodes = outer.problem.mesh.p.shape[1] if self.nodes is True else int(self.nodes)
+        nodes = outer.problem.n_vertices if self.nodes is True else int(self.nodes)
         with monitor.budget.during("build"):
             start = metric_start(Solved(outer.contact, outer.contact.given), nodes, monitor.budget)
         monitor.work += Work(len(start.nodes), len(start.nodes))
@@ -62,6 +62,6 @@ class Remeshed(Wrapper):
             start.solved.solver, outer.objective, outer.tolerance, is_near=True, gain=start.solved.error
         )
         outcome = monitor.run(self.inner, remeshed, remeshed.variables())
-        made = f"on a mesh of {start.solved.problem.mesh.p.shape[1]} nodes that Mmg made for the solution"
+        made = f"on a mesh of {start.solved.problem.n_vertices} nodes that Mmg made for the solution"
         meshes = {"remeshed_nodes": start.nodes, "remeshed_energies": start.energies}
         return outcome.having(meshes, remarks=(made, *outcome.remarks))

@@ -178,7 +178,7 @@ def refined_bracket(
     Each of the ``refinements`` makes four triangles of one; by default there is one on up to ``FEW``
     triangles, else none.
     """
-    count = problem.mesh.t.shape[1]
+    count = problem.mesh.nelements
     if refinements is None:
         refined = refined_bracket(problem, nodes, guess, int(count <= FEW))
         # on needles rounding grows with refinement

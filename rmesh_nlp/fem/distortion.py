@@ -58,10 +58,10 @@ def reference_shapes(problem: ContactProblem) -> Array:
     """(2, 3, elements) vertices of the triangles that the elements are compared with."""
     if problem.reference is None:
         return problem.mesh.p[:, problem.triangles]
-    if problem.reference.shape != (2, 3, problem.mesh.t.shape[1]):
+    if problem.reference.shape != (2, 3, problem.mesh.nelements):
         raise BadInputError(
             f"the reference has the shape {problem.reference.shape}, and the mesh "
-            f"{problem.mesh.t.shape[1]} elements"
+            f"{problem.mesh.nelements} elements"
         )
     return problem.reference
 

@@ -153,7 +153,7 @@ def patches(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
     """
     problem = space.problem
     if space.order == 2 and part.obstacle.boundary is Place.INTERIOR:
-        cells, curves = problem.triangles, np.full(problem.triangles.shape[1], NONE)
+        cells, curves = problem.triangles, np.full(problem.mesh.nelements, NONE)
     else:
         edges = Body(problem, problem.mesh.p).edges_of(part.obstacle)
         cells, curves = edges.ends, problem.curve_of_facet[edges.facets]

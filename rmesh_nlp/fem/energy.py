@@ -138,7 +138,7 @@ def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field], I
     of them: its other side is a chord.
     """
     problem, order = on.problem, on.space.order
-    vertices, owner = problem.triangles.copy(), np.full(problem.triangles.shape[1], NONE)
+    vertices, owner = problem.triangles.copy(), np.full(problem.mesh.nelements, NONE)
     for number, name in enumerate(problem.motion.curves):
         sides = sides_on(problem, problem.mesh.boundaries[name])
         elements, first = np.unique(sides.element, return_index=True)

@@ -155,7 +155,7 @@ def nodal(
 
     @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
-        n = on.problem.mesh.p.shape[1]
+        n = on.problem.n_vertices
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
             raise BadInputError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
         at_nodes = Straight(chosen.size, on.problem.components, 1)

@@ -57,7 +57,7 @@ class DisplacementSpace:
     @property
     def n_vertices(self) -> int:
         """Number of vertices of the mesh."""
-        return self.problem.mesh.p.shape[1]
+        return self.problem.n_vertices
 
     @cached_property
     def elements(self) -> Index:

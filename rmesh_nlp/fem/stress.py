@@ -45,7 +45,7 @@ def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Arr
     (4, elements, ...) array of sigma_xx, sigma_yy, sigma_xy, sigma_zz; for a scalar problem the
     (2, elements, ...) flux, conductivity times grad u.
     """
-    result = np.zeros((2 if problem.components == 1 else 4, problem.triangles.shape[1], *shares.shape[1:]))
+    result = np.zeros((2 if problem.components == 1 else 4, problem.mesh.nelements, *shares.shape[1:]))
     for law, own, fields, _ in _extended(problem, X, displacement, shares):
         result[:, own] = law.written(fields)
     return result

@@ -125,7 +125,7 @@ class MeshMap:
             index[:, inner], offset[:, inner] = first[inner], t
             scale[:, inner] = np.min(unit[:, inner], axis=0) / np.linalg.norm(curve.velocity(t), axis=0)
             which[:, inner] = np.array([[2 * number], [2 * number + 1]])
-            nodes = problem.boundary_nodes((name,))  # also the ends of the curve, which do not slide
+            nodes = problem.boundary_nodes(name)  # also the ends of the curve, which do not slide
             parameters.offset[number, nodes] = curve.nearest(mesh.p[:, nodes])
             parameters.index[number, inner] = index[0, inner]
             parameters.scale[number, inner] = scale[0, inner]
@@ -171,9 +171,9 @@ class VertexParameters:
     """
 
     def __init__(self, problem: ContactProblem) -> None:
-        n = problem.mesh.p.shape[1]
+        n = problem.n_vertices
         self._curves = [
-            (curve, problem.boundary_nodes((name,))) for name, curve in problem.motion.curves.items()
+            (curve, problem.boundary_nodes(name)) for name, curve in problem.motion.curves.items()
         ]
         positions = unknown_field((2, n), source=1)
         along = unknown_field((len(self._curves), n), 2 * n, source=1) if self._curves else None
@@ -206,15 +206,15 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
     mobility[on_line] = Mobility.PINNED
     mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
     varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
-    held = problem.boundary_nodes(tuple(varying)).tolist()
+    held = problem.boundary_nodes(*varying).tolist()
     loaded = [load.node for load in problem.point_loads]
     mobility[problem.kink_nodes] = Mobility.PINNED
-    mobility[problem.boundary_nodes(tuple(shape.boundary for shape in problem.shapes))] = Mobility.PINNED
+    mobility[problem.boundary_nodes(*(shape.boundary for shape in problem.shapes))] = Mobility.PINNED
     mobility[[*held, *loaded, *np.setdiff1d(np.arange(mobility.size), mesh.t)]] = Mobility.PINNED
     rules = (motion.free, Mobility.FREE), (motion.slides, Mobility.SLIDING), (motion.pinned, Mobility.PINNED)
     for places, mobile in rules:
-        names = tuple(place for place in places if isinstance(place, str))
-        mobility[problem.boundary_nodes(names)] = mobile
+        names = (place for place in places if isinstance(place, str))
+        mobility[problem.boundary_nodes(*names)] = mobile
     for places, mobile in rules:  # that for a node overrides those for its boundaries
         mobility[[place for place in places if isinstance(place, int)]] = mobile
     both = problem.matches  # what stops one node of a pair stops both

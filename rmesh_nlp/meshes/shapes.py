@@ -37,9 +37,17 @@ def rectangle(
     y: tuple[float, float] = (0.0, 1.0),
     diagonal: str = "rising",
 ) -> MeshTri:
-    """A rectangle of ``nx`` times ``ny`` cells with boundaries left, right, bottom, top.
+    """A rectangle of cells of two triangles, with boundaries ``left``, ``right``, ``bottom``, ``top``.
 
-    Each cell is cut from lower left to upper right ("rising") or from upper left ("falling").
+    Parameters
+    ----------
+    nx, ny : int
+        Cells along x and along y.
+    x, y : tuple of float
+        Ends of the rectangle, in units of length; 0 and 1 by default.
+    diagonal : "rising" or "falling"
+        Whether each cell is cut from lower left to upper right, as by default, or from upper left to lower
+        right.
     """
     for name, n in (("nx", nx), ("ny", ny)):
         Number(least=1).check(name, n)
@@ -62,9 +70,17 @@ def rectangle(
 
 
 def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
-    """(-size, size)^2 without its lower right quarter; boundaries ``corner`` (the two edges at the
-    re-entrant corner at the origin) and ``outer``. ``h`` is the target edge length.
-    """  # noqa: D205
+    """A square (-size, size)^2 without its lower right quarter, made by gmsh.
+
+    Boundaries are ``corner``, the two edges at the re-entrant corner at the origin, and ``outer``.
+
+    Parameters
+    ----------
+    h : float
+        Length of edges, in units of length.
+    size : float
+        Half the side of the square, in units of length.
+    """
     check_positive(h=h, size=size)
     s = size
     points = [(0, 0), (s, 0), (s, s), (-s, s), (-s, -s), (0, -s)]
@@ -72,7 +88,17 @@ def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
 
 
 def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> MeshTri:
-    """A square (0, size)^2 with a round hole in its middle; boundaries left, right, bottom, top, hole."""
+    """A square (0, size)^2 with a round hole in its middle, made by gmsh.
+
+    Boundaries are ``left``, ``right``, ``bottom``, ``top`` and ``hole``.
+
+    Parameters
+    ----------
+    h : float
+        Length of edges, in units of length.
+    size, radius : float
+        Side of the square and radius of the hole, in units of length.
+    """
     check_positive(h=h, size=size, radius=radius)
     if not radius < size / 2:
         raise BadInputError(f"the hole of radius {radius} does not fit into a square of side {size}")
@@ -86,12 +112,19 @@ def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> Mes
 
 
 def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact: float = 0.01) -> MeshTri:
-    """The right half of the lower half disc with centre (0, radius): a quarter, by symmetry.
+    """The right half of the lower half disc with centre (0, radius), by gmsh: a quarter, by symmetry.
 
     The arc is cut off at the bottom by its chord of half-length ``contact``, so that contact
     nodes can slide on a straight piece; the true distance to the line y = 0 belongs into the
-    obstacle, radius - sqrt(radius^2 - x^2). Boundaries ``axis`` (x = 0), ``top`` (y = radius), ``arc``,
-    ``contact``; edges are ``h_contact`` long at the contact and ``h`` far from it.
+    obstacle, radius - sqrt(radius^2 - x^2). Boundaries are ``axis`` (x = 0), ``top`` (y = radius), ``arc``
+    and ``contact``.
+
+    Parameters
+    ----------
+    h, h_contact : float
+        Length of edges far from the contact and at it, in units of length.
+    radius, contact : float
+        Radius of the disc and half-length of the chord, in units of length.
     """
     check_positive(h=h, radius=radius, contact=contact, h_contact=h_contact)
     if not contact < radius:
@@ -111,8 +144,15 @@ def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact:
 def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: float = 0.2) -> MeshTri:
     """A block whose lower edge rises by ``rise`` from its middle to both ends, like a blunt wedge.
 
-    Boundaries left, right, top, ``wedge`` (the lower edge, two straight pieces that meet at
-    (width/2, 0)).
+    It is made by gmsh. Boundaries are ``left``, ``right``, ``top`` and ``wedge``, the lower edge of two
+    straight pieces that meet at (width/2, 0).
+
+    Parameters
+    ----------
+    h : float
+        Length of edges, in units of length.
+    width, height, rise : float
+        In units of length; the height is that above (width/2, 0), more than the rise.
     """
     check_positive(h=h, width=width, height=height)
     if not 0 <= rise < height:
@@ -122,10 +162,17 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
 
 
 def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | None = None) -> MeshTri:
-    """A simple polygon, counter-clockwise, meshed with edges of length ``h``.
+    """A simple polygon, meshed by gmsh.
 
-    ``boundaries`` names its edges by number, edge i running from point i to the next; by
-    default edge i is called ``edge-i``.
+    Parameters
+    ----------
+    points : list of tuple of float
+        Corners, counter-clockwise, in units of length.
+    h : float
+        Length of edges, in units of length.
+    boundaries : dict of lists of int, optional
+        Names, and the numbers of their edges; edge i runs from point i to the next. By default edge i is
+        called ``edge-i``.
     """
     check_positive(h=h)
     if not is_finite(points) or np.shape(points)[1:] != (2,) or len(points) < 3:

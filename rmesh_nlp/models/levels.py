@@ -71,7 +71,7 @@ def _numbers(problem: ContactProblem) -> list[int]:
 
 def _on(problem: ContactProblem, mesh: MeshTri, nodes: Index, least: int) -> ContactProblem | None:
     """The problem on a coarser mesh of some of its nodes; None if that is not what it should be."""
-    n, size = problem.mesh.p.shape[1], mesh.p.shape[1]
+    n, size = problem.n_vertices, mesh.p.shape[1]
     if size < least or WORTHWHILE * size > n:
         return None
     delta = problem.motion.delta
@@ -105,11 +105,11 @@ def _decimated(problem: ContactProblem) -> tuple[MeshTri, Index]:
     kept[on_line] = ~(np.any(tangent[:, on_line] != 0, axis=0) | (on_curve(problem)[on_line] >= 0))
     kept[[*_numbers(problem), *problem.kink_nodes]] = True
     for name, curve in problem.motion.curves.items():
-        kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p)] = True
+        kept[_turning(curve, problem.boundary_nodes(name), mesh.p)] = True
     lines = Lines(kept, mesh.facets[:, line_facets(mesh)])
     result = decimated(mesh.p, problem.triangles, lines)
     nodes = np.unique(result.triangles)
-    number, place = np.full(mesh.p.shape[1], -1), np.full(mesh.t.shape[1], -1)
+    number, place = np.full(mesh.p.shape[1], -1), np.full(mesh.nelements, -1)
     number[nodes], place[result.element] = np.arange(nodes.size), np.arange(result.element.size)
     boundaries = {}
     for name, facets in (mesh.boundaries or {}).items():

@@ -128,14 +128,14 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
         if budget.is_over():
             break
     best = min(done, key=lambda solved: solved.state.energy)
-    counts = tuple(solved.problem.mesh.p.shape[1] for solved in done)
+    counts = tuple(solved.problem.n_vertices for solved in done)
     return MetricStart(best, counts, tuple(solved.state.energy for solved in done))
 
 
 def _solved(problem: ContactProblem) -> Solved:
     solved = Solved.of(problem)
     if solved.state.status is not Status.CONVERGED:
-        count = problem.mesh.p.shape[1]
+        count = problem.n_vertices
         raise ProblemError("mesh", f"the contact problem was not solved on a new mesh of {count} nodes")
     return solved
 
@@ -160,7 +160,7 @@ def remeshed_problem(
         aspect = min(aspect, 1 / (np.sqrt(3) * np.tan(np.radians(angle) / 2)))
     metric = best_metric(X, regions, aspect)
     if np.isnan(ratio):
-        ratio = problem.mesh.t.shape[1] / X.shape[1]
+        ratio = problem.mesh.nelements / X.shape[1]
     while True:
         candidate, ratio = _with_nodes(problem, metric, nodes, ratio, off, budget)
         if angle == 0 or np.min(least_angles(candidate.mesh.p, candidate.triangles)) >= angle:

@@ -91,7 +91,7 @@ class Released:
         """Of the elements those that were fitted; what then remains at the move limits is theirs."""
         validity, free = self.relocation.validity, self.relocation.parts.mesh_map
         by_element = self.fitted[: validity.size].reshape(validity.group.rows.T.shape)
-        area, angle = np.zeros((2, self.relocation.parts.problem.mesh.t.shape[1]))
+        area, angle = np.zeros((2, self.relocation.parts.problem.mesh.nelements))
         area[validity.elements] = by_element[:, 0]
         angle[validity.elements] = by_element[:, 1:].sum(axis=1)
         stopped = ~is_inside(self.q, free.lower, free.upper)

@@ -96,6 +96,11 @@ class ProblemData:
         return tuple(variable for variable in self.design if isinstance(variable, Shape))
 
     @property
+    def n_vertices(self) -> int:
+        """Number of the nodes of the mesh."""
+        return self.mesh.p.shape[1]
+
+    @property
     def laws(self) -> tuple[Law, ...]:
         """The law of each region."""
         return tuple(self.laws_by_name.values())
@@ -195,10 +200,9 @@ class ProblemData:
         numbers = np.unique(curve).tolist()
         return [(k, self.mesh.facets[:, facets[curve == k]]) for k in numbers]
 
-    def boundary_nodes(self, names: tuple[str, ...]) -> Index:
+    def boundary_nodes(self, *names: str) -> Index:
         """Sorted numbers of the nodes on the named boundaries."""
-        nodes = [nodes_of(self.mesh, name) for name in names]
-        return np.unique(numbers_of(nodes))
+        return np.unique(numbers_of(nodes_of(self.mesh, name) for name in names))
 
     @property
     def axisymmetric(self) -> bool:
@@ -213,10 +217,10 @@ class ProblemData:
     @cached_property
     def held(self) -> tuple[Mask, Array]:
         """Where displacement components are given, and their values: two (components, nodes) arrays."""
-        shape = (self.components, self.mesh.p.shape[1])
+        shape = (self.components, self.n_vertices)
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
         for support in self.supports:
-            nodes = self.boundary_nodes((support.boundary,))
+            nodes = self.boundary_nodes(support.boundary)
             what = f"the displacement given on {support.boundary!r}"
             for i, coefficient in enumerate(support.value):
                 if coefficient is None:
@@ -241,7 +245,7 @@ class ProblemData:
     def nodes_of(self, obstacle: Obstacle) -> Index:
         """Sorted numbers of the nodes at which an obstacle may be met."""
         place = obstacle.boundary
-        return np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes((place,))
+        return np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes(place)
 
     @cached_property
     def tools(self) -> tuple[int, ...]:
@@ -268,11 +272,11 @@ class ProblemData:
         for number, obstacle in enumerate(self.obstacles):
             partner = None
             if isinstance(obstacle.boundary, str) and obstacle.other:
-                partner = np.full(self.mesh.p.shape[1], -1)
+                partner = np.full(self.n_vertices, -1)
                 own, others = matched(self.mesh, obstacle.boundary, obstacle.other, ("contact", number))
                 partner[own] = others
             elif number in self.tools:
-                n = self.mesh.p.shape[1]
+                n = self.n_vertices
                 partner = np.full(n, n + self.tools.index(number))
             result.append(partner)
         return tuple(result)

@@ -45,7 +45,7 @@ def in_words(problem: ProblemData, free: Array) -> str:
     """The name of a rigid motion of one part of the mesh; ``free`` (motions,) combines some of all."""
     if (tool := tool_of(problem, free)) is not None:
         return f"translation of the tool on {problem.obstacles[tool].boundary!r}"
-    motions = rigid_motions(problem)[:, :, : problem.mesh.p.shape[1]]
+    motions = rigid_motions(problem)[:, :, : problem.n_vertices]
     nodes, name = np.any(motions[np.argmax(np.abs(free))], axis=0), "translation"
     if problem.components == 2:
         # as complex numbers u = shift + turn z
@@ -61,7 +61,7 @@ def in_words(problem: ProblemData, free: Array) -> str:
 
 def tool_of(problem: ProblemData, free: Array) -> int | None:
     """The obstacle that moves most where ``free`` (motions,) combines rigid motions; None of a body."""
-    moved = np.any(rigid_motions(problem)[np.argmax(np.abs(free))], axis=0)[problem.mesh.p.shape[1] :]
+    moved = np.any(rigid_motions(problem)[np.argmax(np.abs(free))], axis=0)[problem.n_vertices :]
     return problem.tools[np.argmax(moved)] if moved.any() else None
 
 

@@ -187,7 +187,7 @@ def advise(problem: ContactProblem) -> Advice:
 
 def _moved(problem: ContactProblem) -> float | None:
     """Least factor by which moving the nodes of a coarse mesh lowers the error there."""
-    while problem.mesh.p.shape[1] > NODES and (coarse := coarsened(problem, 0)) is not None:
+    while problem.n_vertices > NODES and (coarse := coarsened(problem, 0)) is not None:
         problem = coarse
     solution = solve(problem)
     if solution.is_interrupted:

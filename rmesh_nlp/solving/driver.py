@@ -66,8 +66,9 @@ def solve(
     objective : str or Objective
         What is minimised: "energy", another one such as "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
-    start : positions (2, nodes), "given", name of a formulation, or Solution, optional
-        See :func:`rmesh_nlp.solving.plan.beginning`.
+    start : array (2, nodes), str or Solution, optional
+        Positions of nodes, "given", a formulation that runs first, or a solution to go on from; by default
+        the mesh as given, or with a ``seed`` a random one.
     seed : int, optional
         Random start; by default the mesh as given.
     tolerance : float

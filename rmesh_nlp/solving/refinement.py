@@ -47,7 +47,7 @@ def attained(
     within the bounds that are known.
     """
     fine = last if finest is None else finest
-    triangles, refined = last.problem.triangles.shape[1], fine.problem.triangles
+    triangles, refined = last.problem.mesh.nelements, fine.problem.triangles
     nodes = fine.body.nodes
     regions = recovered(fine.parts.space, nodes, fine.displacement)
     times = (refined.shape[1] / triangles) ** last.problem.order  # how the error falls

@@ -192,7 +192,7 @@ class Relocated:
 
     @property
     def energy_initial(self) -> float:
-        """The same on the mesh as given."""
+        """``energy`` on the mesh as given."""
         return self.given.energy
 
     @property
@@ -202,7 +202,7 @@ class Relocated:
 
     @property
     def energy_initial_audited(self) -> float:
-        """The same on the mesh as given."""
+        """``energy_audited`` on the mesh as given."""
         return self.given.energy_audited
 
     @property

@@ -128,7 +128,7 @@ def _twice(names: Sequence[str]) -> str:
 def _refinements(problem: ContactProblem) -> Iterator[ContactProblem]:
     """The problem on uniformly refined meshes, coarsest first; none where there is no energy to compare."""
     for _ in range(0 if problem.design or not problem.has_energy else REFINEMENTS):
-        if problem.mesh.p.shape[1] + problem.mesh.nfacets > LARGEST:
+        if problem.n_vertices + problem.mesh.nfacets > LARGEST:
             return
         problem = refined(problem)
         yield problem

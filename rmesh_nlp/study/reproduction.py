@@ -178,7 +178,7 @@ def _difference(problem: ContactProblem, program: Relocation) -> ca.MX:
     """Friction with the weights of the given mesh less friction with those of the moved one."""
     (part,) = problem.contact_sets
     bound = float(part.obstacle.friction)  # type: ignore[arg-type]
-    nodes = problem.boundary_nodes((str(part.obstacle.boundary),))  # held ends too: edges end there
+    nodes = problem.boundary_nodes(str(part.obstacle.boundary))  # held ends too: edges end there
     order = nodes[np.argsort(problem.mesh.p[0, nodes])]
     positions, slip, x = program.parts.mesh_map.positions, program.slip, program.nlp.x
 

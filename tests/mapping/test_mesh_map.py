@@ -52,7 +52,7 @@ def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: ContactProbl
     alpha = sloped.obstacle.offset
     for sign in (-1.0, 1.0):
         moved = free.positions.values(np.full(free.n, sign))
-        for node in sloped.boundary_nodes(("contact",)):
+        for node in sloped.boundary_nodes("contact"):
             assert moved[1, node] == pytest.approx(float(ca.DM(alpha(moved[0, node]))), abs=1e-12)
         shift = np.abs(moved - sloped.mesh.p)
         assert np.all(shift[0] <= 0.1 + 1e-12)

@@ -35,18 +35,18 @@ ARC = Circle((0.0, 1.0), 1.0)
 
 def off(problem: ContactProblem, mesh: Any, name: str, circle: Circle) -> float:
     """Largest distance of a boundary's nodes from a circle."""
-    away = mesh.p[:, problem.boundary_nodes((name,))] - np.array(circle.centre)[:, None]
+    away = mesh.p[:, problem.boundary_nodes(name)] - np.array(circle.centre)[:, None]
     return float(np.max(np.abs(np.hypot(*away) - circle.radius)))
 
 
 def moved(problem: ContactProblem, solution: Solution, name: str) -> float:
-    nodes = problem.boundary_nodes((name,))
+    nodes = problem.boundary_nodes(name)
     return float(np.max(np.abs(solution.mesh.p[:, nodes] - problem.mesh.p[:, nodes])))
 
 
 def test_outer_variables_are_found_again_and_limits_are_lengths_of_the_curve() -> None:
     problem = plate({"hole": HOLE}, delta=0.3)
-    free, hole = MeshMap.of(problem), problem.boundary_nodes(("hole",))
+    free, hole = MeshMap.of(problem), problem.boundary_nodes("hole")
     q = np.random.default_rng(0).uniform(-1, 1, free.n)
     np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
     assert np.all(free.mobility[hole] == Mobility.SLIDING)
@@ -61,7 +61,7 @@ def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:
     fine, local, coarse = refined(problem), locally_refined(problem, np.arange(40)), coarsened(problem, 30)
     assert coarse is not None
     assert max(off(other, other.mesh, "hole", HOLE) for other in (fine, local, coarse)) < 1e-12
-    assert coarse.boundary_nodes(("hole",)).size < problem.boundary_nodes(("hole",)).size
+    assert coarse.boundary_nodes("hole").size < problem.boundary_nodes("hole").size
     assert set(fine.motion.curves) == {"hole"}
 
 

@@ -212,7 +212,7 @@ def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> N
 def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
     outer = Outer.of(plate({"hole": HOLE}, delta=0.4))
     index = outer.relocation.parts.mesh_map.positions.index
-    node = outer.problem.boundary_nodes(("hole",))[3]
+    node = outer.problem.boundary_nodes("hole")[3]
     q, gradient = np.zeros(outer.n), np.zeros(outer.n)
     q[index[0, node]], gradient[index[0, node]] = 1.0, -2.0
     found = released(outer.energy, q, gradient).multipliers.limit

@@ -132,7 +132,7 @@ class TestCurves:
     ) -> None:
         problem = plate({"hole": curve}, h=h)
         found = remade(problem, nodes)
-        rim = found.mesh.p[:, found.boundary_nodes(("hole",))]
+        rim = found.mesh.p[:, found.boundary_nodes("hole")]
         assert np.abs(curve.at(curve.nearest(rim)) - rim).max() < 1e-12
         assert sagitta(found) <= sagitta(problem) * (1 + 1e-9)
         assert Body(found, np.asarray(found.mesh.p)).is_upright()
