@@ -26,10 +26,10 @@ from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import MeshRepairWarning, named
-from rmesh_nlp.meshes.geometry import named_by_user
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, named_by_user, pieces_of
 from rmesh_nlp.meshes.reading import FORMATS, read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
-from rmesh_nlp.problem import ContactProblem, Laplace
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import checked
@@ -53,22 +53,30 @@ def new(path: Path, study: bool, mesh: Path | None = None, two_bodies: bool = Fa
 def _of_mesh(path: Path, beside: Path) -> Values:
     """What the template has of a mesh: of its outer boundaries the lowest is in contact, the highest moves.
 
-    Where the file does not name two, these are parts by height.
+    So does the highest of each further part. Vertical ones, such as an axis, are left aside. Where the file
+    does not name two, these are parts by height.
     """
     mesh = _read(path)
-    y, groups, outer = mesh.p[1], named_by_user(mesh.boundaries), mesh.boundary_facets()
-    at = {y[mesh.facets[:, part]].mean(): name for name, part in groups.items() if np.isin(part, outer).all()}
-    comment = "# " * (len(at) > 1)
-    at = at if comment else {0.0: "lowest-tenth", 1.0: "highest-tenth"}
+    (x, y), groups = mesh.p, named_by_user(mesh.boundaries)
+    nodes = {n: mesh.facets[:, e] for n, e in groups.items() if np.isin(e, mesh.boundary_facets()).all()}
+    flat = [name for name, on in nodes.items() if np.ptp(x[on]) > SEVEN_DIGITS * np.ptp(x)]
+    names = sorted(flat, key=lambda name: y[nodes[name]].mean())
+    piece = pieces_of(mesh.facets, x.size)
+    of_piece = {number: name for name in names[1:] for number in np.unique(piece[nodes[name]])}
+    comment = "# " * (len(names) > 1)
+    moved = list(dict.fromkeys(of_piece.values())) if comment else ["highest-tenth"]
+    tenth = np.ptp(y) / 10
     return {
         "form": "mesh_template.toml",
         "mesh": Path(os.path.relpath(path, beside.parent)).as_posix(),
         "names": ", ".join([*groups, *named_by_user(mesh.subdomains)]),
         "comment": comment,
-        "first": at[min(at)],
-        "last": at[max(at)],
+        "first": names[0] if comment else "lowest-tenth",
+        "last": moved[-1],
+        "given": "\n".join(f'"{name}" = [0.0, "-{tenth}/100"]' for name in moved),
+        "pinned": moved,
         "low": y.min(),
-        "tenth": np.ptp(y) / 10,
+        "tenth": tenth,
     }
 
 
@@ -83,7 +91,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         mesh = _read(path)
         names = "outside", *named_by_user(mesh.boundaries)
         mesh = named(mesh, {"outside": lambda x: x[0] == x[0]})
-        problem = ContactProblem(mesh, Laplace(0.0), names, name=path.name)
+        problem = ContactProblem(mesh, Laplace(0.0), names, motion=Motion(delta=0), name=path.name)
         said = f"a mesh, by its size in {'mm' if np.ptp(mesh.p) > 2 else 'm'}"
         rows = problem.summary()[:4]
         messages = [sign.message for sign in curve_warnings(problem, names)]
@@ -146,7 +154,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
     problem = replace(with_edge_gaps(_first_design(path, load_problem(path, order))), quadrature="auto")
     with located(path):
         first = Solved.of(problem)
-        made = metric_start(first, problem.mesh.p.shape[1] if nodes is None else nodes).solved
+        made = metric_start(first, problem.n_vertices if nodes is None else nodes).solved
     mesh = made.problem.mesh
     write_whole(out, lambda aside: write_mesh(mesh, aside))
     rows = [

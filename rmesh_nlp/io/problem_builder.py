@@ -10,7 +10,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.errors import Place, one_line
+from rmesh_nlp.errors import Place, one_line, unknown
 from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.io.problem_messages import outwards
@@ -113,6 +113,11 @@ def _mesh(table: ProblemTable) -> MeshTri:
         pairs = [contact.pair for contact in table.contact if contact.pair]
         mesh = table.mesh.made(table.source.path.parent, pairs)
     inside = {contact.interface for contact in table.contact}
+    known = {*(mesh.boundaries or ()), *table.boundaries}
+    for number, contact in enumerate(table.contact):
+        if contact.interface and contact.interface not in known:
+            with table.source.at("contact", number, "interface"):
+                raise unknown("boundary", contact.interface, sorted(known))
     for kind, conditions in (("boundaries", table.boundaries), ("subdomains", table.subdomains)):
         for name, condition in conditions.items():
             with table.source.at(kind, name):

@@ -32,7 +32,8 @@ def check(problem: ProblemData) -> None:
     if rule not in RULE_NAMES and not (type(rule) is int and 1 <= rule <= LARGEST_DEGREE):
         said = f"quadrature must be 'auto', 'midpoint' or a degree from 1 to {LARGEST_DEGREE}, got {rule!r}"
         raise ProblemError("quadrature", said)
-    _check_mesh(problem)
+    if wrong := fault(problem.mesh):
+        raise ProblemError("mesh", wrong)
     check_names(problem)
     _check_laws(problem)
     _check_values(problem)
@@ -49,17 +50,10 @@ def check(problem: ProblemData) -> None:
     _check_rigid_motions(problem)
 
 
-def _check_mesh(problem: ProblemData) -> None:
-    mesh = problem.mesh
-    if type(mesh).__name__ != "MeshTri1":
-        said = f"the mesh must be a skfem.MeshTri of first order, got {type(mesh).__name__}"
-        raise ProblemError("mesh", said)
-    if wrong := fault(mesh):
-        raise ProblemError("mesh", wrong)
-
-
 def check_pairs(problem: ProblemData) -> None:
-    """Raise a ProblemError if a pair of boundaries is not there, or is of a problem that has none."""
+    """Raise a ProblemError if the mesh is none, or a pair not there or of a problem that has none."""
+    if (kind := type(problem.mesh).__name__) != "MeshTri1":
+        raise ProblemError("mesh", f"the mesh must be a skfem.MeshTri of first order, got {kind}")
     if problem.pairs:
         check_names(problem)
     for number, obstacle in enumerate(problem.obstacles):
@@ -87,7 +81,7 @@ def check_names(problem: ProblemData) -> None:
     for name, place in used:
         if isinstance(name, str) and members_of("boundary", name, problem.mesh.boundaries, place).size == 0:
             raise ProblemError(place, f"the boundary {name!r} of the mesh is empty")
-    last = problem.mesh.p.shape[1] - 1
+    last = problem.n_vertices - 1
     for node in motion.numbers:
         if not 0 <= node <= last:
             raise ProblemError("motion", f"the motion names node {node}; nodes run from 0 to {last}")
@@ -152,7 +146,7 @@ def _given(problem: ProblemData) -> Iterator[tuple[Place, str, Sequence[Coeffici
         on = support.boundary
         yield ("dirichlet", on), f"the displacement given on {on!r}", support.value, _along(problem, on)
     for number, load in enumerate(problem.point_loads):
-        if not 0 <= load.node < problem.mesh.p.shape[1]:
+        if not 0 <= load.node < problem.n_vertices:
             said = f"a point load names node {load.node}, which the mesh has not"
             raise ProblemError(("point_loads", number), said)
         what, point = f"the point load at node {load.node}", problem.mesh.p[:, [load.node]]

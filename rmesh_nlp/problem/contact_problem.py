@@ -110,7 +110,7 @@ class ContactProblem(Shown, ProblemData):
                 object.__setattr__(self, name, every)
         check_pairs(self)
         mesh, obstacles, curves = paired(self.mesh, self.obstacles, self.motion.curves)
-        if obstacles != self.obstacles or mesh is not self.mesh:
+        if mesh is not self.mesh or obstacles != self.obstacles:
             object.__setattr__(self, "mesh", mesh)
             object.__setattr__(self, "obstacle", obstacles)
             object.__setattr__(self, "motion", replace(self.motion, curves=curves))

@@ -13,6 +13,8 @@ from rmesh_nlp.display import describe, figure
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.problem.coefficients import (
+    OPEN,
+    POSITION,
     Coefficient,
     PiecewiseLinear,
     PositionFunction,
@@ -148,9 +150,20 @@ class Obstacle:
         friction: Coefficient = 0.0,
         coulomb: Coefficient = 0.0,
     ) -> Obstacle:
-        """A rigid straight line through ``point``, with the gap ``normal^T (X + u - point)``.
+        """A rigid straight line, with the gap ``normal^T (X + u - point)``.
 
-        ``normal`` points from the line to the body and may have any length but zero.
+        Parameters
+        ----------
+        boundary : str
+            Name of the contact boundary.
+        point : tuple of float
+            Any point of the line, in units of length.
+        normal : tuple of float
+            Direction from the line to the body, of any length but zero.
+        friction : float or function of position
+            Tresca's bound, in units of stress; 0 by default.
+        coulomb : float or function of position
+            Coulomb's coefficient, without unit; 0 by default.
         """
         n = unit(normal)
         require(len(as_tuple(point)) == 2, "point", "have 2 components", point)
@@ -162,8 +175,19 @@ class Obstacle:
     ) -> Obstacle:
         """A foundation below the graph ``y = height(x)``, gap measured vertically.
 
-        The gap ``X_2 + u_2 - height(X_1)`` is that of (3.10) with alpha = X_2 - height. The
-        height is any smooth function or a :class:`PiecewiseLinear`, called as height(x, y).
+        The gap ``X_2 + u_2 - height(X_1)`` is that of (3.10) with alpha = X_2 - height.
+
+        Parameters
+        ----------
+        boundary : str
+            Name of the contact boundary.
+        height : float or function of position
+            Height of the foundation, in units of length: smooth, or a :class:`PiecewiseLinear`; called as
+            height(x, y).
+        friction : float or function of position
+            Tresca's bound, in units of stress; 0 by default.
+        coulomb : float or function of position
+            Coulomb's coefficient, without unit; 0 by default.
         """
         kinks = height.kinks if isinstance(height, PiecewiseLinear) else ()
         return cls(boundary, (0.0, 1.0), partial(above, height), friction, kinks, coulomb=coulomb)
@@ -179,7 +203,19 @@ class Obstacle:
         """A foundation bounded by the curve ``level(x, y) = 0``, with ``level > 0`` where the body may be.
 
         The gap is measured along the curve's normal at the undeformed node, the slip along its tangent
-        there, both linearly in the displacement. Scale and kind of ``level`` do not matter to first order.
+        there, both linearly in the displacement.
+
+        Parameters
+        ----------
+        boundary : str
+            Name of the contact boundary.
+        level : function of position
+            Smooth, with a gradient that is not zero near the boundary. Its scale does not matter to first
+            order.
+        friction : float or function of position
+            Tresca's bound, in units of stress; 0 by default.
+        coulomb : float or function of position
+            Coulomb's coefficient, without unit; 0 by default.
         """
         require(callable(level), "curve", "be an expression of x and y that is zero on it", level)
         return cls(boundary, friction=friction, level=level, coulomb=coulomb)
@@ -199,6 +235,21 @@ class Obstacle:
 
         The gap at zero displacement is the distance to the circle, the normal that at the
         undeformed node; both are exact, the dependence on the displacement is linear.
+
+        Parameters
+        ----------
+        boundary : str
+            Name of the contact boundary.
+        centre : tuple of float
+            Centre of the circle, in units of length.
+        radius : float
+            Its radius, positive, in units of length.
+        inside : bool
+            Whether the body is inside the circle; outside by default.
+        friction : float or function of position
+            Tresca's bound, in units of stress; 0 by default.
+        coulomb : float or function of position
+            Coulomb's coefficient, without unit; 0 by default.
         """
         if is_number(radius):
             check_positive(radius=radius)
@@ -220,8 +271,19 @@ class Obstacle:
         """Two boundaries with nodes at the same places, of two bodies or of one.
 
         The gap is ``normal^T (u_first - u_second) - interference``, the normal from the second boundary to
-        the first, of a straight line or of a circle among the curves of the motion. The interference is in
-        units of length; a negative one is a gap. Relocation moves both nodes of a pair alike.
+        the first, of a straight line or of a circle among the curves of the motion. Relocation moves both
+        nodes of a pair alike.
+
+        Parameters
+        ----------
+        first, second : str
+            Names of the two boundaries; results have the name of the first.
+        interference : float or function of position
+            How far the bodies overlap before any load, in units of length; a negative one is a gap.
+        friction : float or function of position
+            Tresca's bound, in units of stress; 0 by default.
+        coulomb : float or function of position
+            Coulomb's coefficient, without unit; 0 by default.
         """
         gap = partial(minus, interference) if callable(interference) else 0.0 - interference
         return cls(first, offset=gap, friction=friction, coulomb=coulomb, other=second)
@@ -238,12 +300,29 @@ class Obstacle:
 
         Its ends inside the body stay closed, those on the boundary open. The first side of the pair that it
         becomes is the upper one, the right one of a vertical line, and the outer one of a circle.
+
+        Parameters
+        ----------
+        name : str
+            Name of the line, and of its first side in results.
+        interference : float or function of position
+            How far the two sides overlap before any load, in units of length; a negative one is a gap.
+        friction : float or function of position
+            Tresca's bound, in units of stress; 0 by default.
+        coulomb : float or function of position
+            Coulomb's coefficient, without unit; 0 by default.
         """
         return cls.pair(name, name, interference, friction, coulomb)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
-        """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
+        """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes.
+
+        Parameters
+        ----------
+        psi : float or function of position
+            Height of the obstacle, in the unit of the displacement.
+        """
         return cls(Place.INTERIOR, (1.0,), partial(minus, psi))
 
     @property
@@ -284,6 +363,14 @@ class Obstacle:
         if self.displacement is None:
             return gap
         return gap - ca.dot(self.direction(x, y), ca.DM(self.displacement))
+
+    @property
+    def surface(self) -> tuple[object, ...]:
+        """Equal for obstacles of one foundation with one friction law; that of a tool is its own."""
+        x, y = POSITION
+        parts = (at(each, x, y) for each in (self.clearance, self.friction, self.coulomb))
+        graph = ca.Function("surface", [x, y], [self.direction(x, y), *parts], OPEN).serialize()
+        return graph, self.gap, self.other, self.force and self.boundary
 
     @property
     def unmoved(self) -> tuple[Obstacle, ca.DM]:

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,6 +29,23 @@ from rmesh_nlp.problem.surfaces import off_circle
 Curves = Mapping[str, Curve]
 
 
+def united(mesh: MeshTri, obstacles: tuple[Obstacle, ...]) -> tuple[MeshTri, tuple[Obstacle, ...]]:
+    """Obstacles of one foundation, on boundaries with a common node, as one on a boundary of all their names.
+
+    At such a node they would have two equal gaps, whose forces nothing tells apart.
+    """
+    names = mesh.boundaries or {}
+    for a, b in combinations([one for one in obstacles if one.boundary in names], 2):
+        both = names[a.boundary], names[b.boundary]
+        meet = np.intersect1d(*(mesh.facets[:, each] for each in both)).size
+        if meet and a.surface == b.surface:
+            name = f"{a.boundary} and {b.boundary}"
+            rest = (one for one in obstacles if one is not a and one is not b)
+            mesh = mesh.with_boundaries({name: np.union1d(*both)})
+            return united(mesh, (replace(a, boundary=name), *rest))
+    return mesh, obstacles
+
+
 def paired(
     mesh: MeshTri, obstacles: tuple[Obstacle, ...], curves: Curves
 ) -> tuple[MeshTri, tuple[Obstacle, ...], Curves]:
@@ -35,6 +53,7 @@ def paired(
 
     A curve of one boundary of a pair is one of both. A ProblemError names what cannot be paired.
     """
+    mesh, obstacles = united(mesh, obstacles)
     result, curves = list(obstacles), dict(curves)
     for number, obstacle in enumerate(obstacles):
         if not (isinstance(obstacle.boundary, str) and obstacle.other):

@@ -32,8 +32,8 @@ MARKERS = {
 def draw_problem(problem: ContactProblem, path: Path) -> None:
     """Draw a problem before it is solved to a file (PNG, PDF, SVG by suffix).
 
-    Boundaries that are fixed, loaded or in contact have their own colours and a legend; each vertex
-    has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
+    Boundaries that are fixed, loaded or in contact have their own colours and a legend; where nodes move,
+    each has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
     mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace(problem)
@@ -57,14 +57,15 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
             edges = space.nodes_of(mesh.facets[:, mesh.boundaries[boundary]])
             said = {"color": pen["color"], "label": f"{label}: {boundary}"}
             draw_lines(axis, along(edges, nodes), linewidth=3, **said)
-        _draw_mobility(axis, problem, free)
+        if free.n:
+            _draw_mobility(axis, problem, free)
         # so wide that they are seen on both sides of a boundary that lies on them
         draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
         _draw_gaps(axis, body, space.n_nodes)
         axis.autoscale_view()
         unit = bracketed(problem.units.length)
         axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
-        heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
+        heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {mesh.nelements} triangles"
         for one in (one for one in body.contacts if body.elastic and one.is_rigid and one not in body.near):
             heading += f"\nthe foundation of {one.name} is {one.distance:.3g} away, not drawn"
         axis.set_title(heading)
@@ -74,7 +75,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
 
 
 def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
-    p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
+    p, size = problem.mesh.p, 2000 / max(problem.n_vertices, 100)
     length = 0.2 * np.min(lengths(p, problem.mesh.facets))  # boundaries stay seen
     looks = ((free.mobility == kind, *look) for kind, look in MARKERS.items())
     draw_nodes(axis, p, looks, s=size, zorder=3)
@@ -103,7 +104,7 @@ def _draw_gaps(axis: Axes, body: DrawnBody, count: int) -> None:
 
 
 def _roles(problem: ContactProblem) -> list[tuple[str, str]]:
-    """Label and name of every boundary that has a role."""
-    roles = [("given", one.boundary) for one in problem.supports]
+    """Label and name of every boundary that has a role, or without contact is shown by its name."""
+    roles = [("given" if problem.obstacles else "boundary", one.boundary) for one in problem.supports]
     roles += [("load", one.boundary) for one in problem.tractions]
     return roles + [("contact", one.boundary) for one in problem.obstacles if isinstance(one.boundary, str)]

@@ -40,6 +40,21 @@ def test_a_problem_of_a_mesh_file_has_its_names_and_runs(rmesh) -> None:
         assert rmesh(f"solve {name}.toml -f fixed --no-figures --out {name}").code == 0
 
 
+def test_a_template_leaves_an_axis_aside_and_moves_every_part(rmesh) -> None:
+    """The middle of an axis is lower than that of a top, but nothing upright meets a foundation below."""
+    low, high = rectangle(2, 2), rectangle(2, 2, y=(2, 3))
+    both = MeshTri(np.hstack([low.p, high.p]), np.hstack([low.t, 9 + high.t]))
+    parts = {"axis": lambda p: p[0] == 0} | {f"at {y}": lambda p, y=y: p[1] == y for y in (0, 1, 2, 3)}
+    write_mesh(named(both, parts), "two.msh")
+    assert rmesh("new two.toml --mesh two.msh").code == 0
+    problem = load_problem("two.toml")
+    assert problem.obstacles[0].boundary == "at 0"
+    assert [part.boundary for part in problem.supports] == ["at 1", "at 3"]
+    write_mesh(named(MeshTri(low.p, low.t), {"axis": parts["axis"], "at 1": parts["at 1"]}), "one.msh")
+    assert rmesh("new one.toml --mesh one.msh").code == 0
+    assert load_problem("one.toml").obstacles[0].boundary == "lowest-tenth"
+
+
 @pytest.mark.parametrize("command", ["solve body.msh", "solve b", "advise body.msh", "advise b", "check 6.1"])
 def test_what_is_no_problem_file_is_told_what_is_meant(rmesh, command: str) -> None:
     Path("b.toml").write_text("")

@@ -197,7 +197,7 @@ def test_scalar_problem_with_an_obstacle_in_the_interior_and_an_order(write):
 def test_nodes_slide_along_the_curve_of_their_boundary(write, curve, kind):
     problem = load_problem(write(PLATE.replace('"circle"', curve)))
     assert isinstance(problem.motion.curves["hole"], kind)
-    free, hole = MeshMap.of(problem), problem.boundary_nodes(("hole",))
+    free, hole = MeshMap.of(problem), problem.boundary_nodes("hole")
     assert np.all(free.mobility[hole] == Mobility.SLIDING)
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, free.n)
     radius = np.hypot(*(free.positions.values(q)[:, hole] - 5))

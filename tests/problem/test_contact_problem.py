@@ -301,7 +301,7 @@ def test_compressed_block_between_two_plates_has_its_closed_form() -> None:
     lam, mu = LAW.lame_lambda, LAW.lame_mu
     stress = 4 * mu * (lam + mu) / (lam + 2 * mu) * 0.04
     for name in ("bottom", "top"):
-        nodes = problem.boundary_nodes((name,))
+        nodes = problem.boundary_nodes(name)
         np.testing.assert_allclose(solution.final.pressure[nodes], stress, rtol=1e-9)
     assert solution.energy == pytest.approx(stress * 0.04 / 2, rel=1e-9)
     parts = penetrations(DisplacementSpace(problem), problem.mesh.p, solution.displacement)
@@ -325,6 +325,29 @@ def test_node_of_two_foundations_obeys_both() -> None:
     each = [contact_stresses(space, nodes, force, none)[0][0] for force in single]
     assert pressure[0] == pytest.approx(sum(each))
     assert min(each) > 0
+
+
+def test_one_foundation_under_several_names_is_one() -> None:
+    """Equal formulas with equal friction: the solution is that of one boundary, whatever the order."""
+    mesh = rectangle(6, 2, x=(0, 3))
+    parts = {"a": (0, 1), "b": (1, 2), "c": (2, 3)}
+    split = {k: lambda p, ends=v: (p[1] == 0) & (p[0] > ends[0]) & (p[0] < ends[1]) for k, v in parts.items()}
+
+    def over(name: str, friction: float = 0.1) -> Obstacle:
+        return Obstacle.graph(name, lambda x, y: 0.01 - 0.002 * x**2, friction=friction)
+
+    def problem(*obstacles: Obstacle) -> ContactProblem:
+        return ContactProblem(named(mesh, split), LAW, ("top",), obstacles)
+
+    one = fixed.solve(problem(over("bottom")))
+    for order in (("a", "b", "c"), ("a", "c", "b")):
+        several = fixed.solve(problem(*map(over, order)))
+        assert list(several.contact) == [several.problem.obstacles[0].boundary]
+        np.testing.assert_allclose(several.displacement, one.displacement, rtol=0, atol=1e-15)
+    for other in (over("b", 0.2), replace(over("b"), force=(0.0, 1.0)), Obstacle("b")):
+        with pytest.raises(ProblemError, match="belongs to 2 contact boundaries"):
+            problem(over("a"), other)
+    assert len(problem(over("a"), over("c")).obstacles) == 2  # they do not meet
 
 
 def half_ring() -> dict:
