@@ -219,9 +219,9 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
         mobility[[place for place in places if isinstance(place, int)]] = mobile
     both = problem.matches  # what stops one node of a pair stops both
     mobility[both] = np.min(mobility[both], axis=0)
-    tied = {node for node, _ in problem.tied}
+    tied, by_user = dict(problem.tied), dict(motion.tied)
     for still, what in ((held, "held at a function of position"), (loaded, "under a point load")):
-        moved = [node for node in still if mobility[node] != Mobility.PINNED or node in tied]
+        moved = [node for node in still if mobility[node] != Mobility.PINNED or node in by_user]
         if moved:  # its given value or load would not follow, or would go along
             raise BadInputError(f"node {moved[0]} is {what} and cannot move")
     mobility[problem.on_axis & (mobility == Mobility.FREE)] = Mobility.SLIDING
