@@ -18,7 +18,16 @@ import numpy as np
 
 from formulations.fixed import Fixed
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.estimates import ENERGY, Estimate, OnMesh, check, ended, estimates, of_contact
+from rmesh_nlp.certificate.estimates import (
+    ENERGY,
+    Estimate,
+    OnMesh,
+    check,
+    ended,
+    estimates,
+    of_contact,
+    unknown,
+)
 from rmesh_nlp.errors import BadInputError, ProblemError, one_line
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -59,8 +68,8 @@ class Adaptive(Wrapper):
         Largest estimated error of a quantity, relative to its value, such as 0.01 or "1%"; of "energy" the
         error in the energy norm relative to the norm.
     quantities : tuple of str
-        See :func:`rmesh_nlp.certificate.estimates.check`; by default the normal force of each contact
-        boundary, without contact the energy.
+        See :func:`rmesh_nlp.certificate.estimates.check`; by default the displacement of each tool that a
+        force moves and the normal force of each other contact boundary, without contact the energy.
     guaranteed : bool
         Whether half the width of guaranteed bounds decides, in the place of the estimated error.
     own_order : bool
@@ -96,7 +105,7 @@ class Adaptive(Wrapper):
 
     def asked(self, problem: ContactProblem) -> tuple[str, ...]:
         """The quantities that the accuracy is for."""
-        return self.quantities or of_contact(problem, "resultant") or (ENERGY,)
+        return self.quantities or unknown(problem)
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)

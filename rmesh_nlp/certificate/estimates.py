@@ -39,7 +39,7 @@ from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import of_displacement
 from rmesh_nlp.certificate.hybrid import turned
-from rmesh_nlp.certificate.integrals import Loads, tractions
+from rmesh_nlp.certificate.integrals import tractions
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
@@ -168,12 +168,12 @@ class Quantity(NamedTuple):
 
     ``dual`` (components, nodes) is the displacement that says what residuals are worth: the solution itself
     where no other does. ``part`` and ``weights`` (nodes,) are those of an integral of pressure; the work of
-    ``load`` is a linear quantity.
+    ``load``, on edges and on tools, is a linear quantity.
     """
 
     value: float
     dual: Array
-    load: Loads | None = None
+    load: tuple[Array, Array] | None = None
     part: ContactSet | None = None
     weights: Array = np.zeros(0)
 
@@ -190,14 +190,15 @@ def check(text: str, problem: ContactProblem) -> None:
 
     They are ``resultant(NAME)``, ``pressure(NAME, EXPR)``, the integral of the pressure times a function of x
     and y, ``force_x``, ``force_y``, ``moment``, ``peak`` and ``contact_length`` of a contact boundary,
-    ``mean(NAME, EXPR)`` and ``boundary(NAME, EXPR)``, linear in the displacement, and ``energy``.
+    ``mean(NAME, EXPR)`` and ``boundary(NAME, EXPR)``, linear in the displacement, ``tool_x`` and ``tool_y``,
+    the displacement of a tool that a force moves along x or y, and ``energy``.
     """
     kind, name, weight = split(text)
     if kind in RESULTS:
         with located(text):
             contact_on(DisplacementSpace(problem), name)
             Expression(weight)
-    elif text != ENERGY:
+    elif text not in (ENERGY, *of_tools(problem)):
         load_of(text, problem)
 
 
@@ -216,18 +217,43 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
         return Quantity(getattr(results[name], RESULTS[kind]), on.u)
     if text == ENERGY:
         return Quantity(on.state.energy, on.u)
-    other = copy(on.problem)  # no check depends on its loads
-    object.__setattr__(other, "tractions", (load_of(text, other),))
+    other, tools = copy(on.problem), of_tools(on.problem)  # no check depends on its loads
+    object.__setattr__(other, "tractions", () if text in tools else (load_of(text, other),))
     load = tractions(other, on.skeleton)
     for component, moments in zip(push, load.moments, strict=True):
         np.add.at(component, load.nodes, moments * load.measure)
-    return Quantity(load.work(on.u), on.dual(gap, push), load)
+    if text in tools:
+        component, place = tools[text]
+        push[component, space.n_nodes + place] = 1.0
+    acting = load.balanced * load.measure, push[:, space.n_nodes :]
+    return Quantity(float(np.sum(push * on.u)), on.dual(gap, push), acting)
 
 
 def of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:
     """Quantities of each contact boundary."""
     names = [one.boundary for one in problem.obstacles if isinstance(one.boundary, str)]
     return tuple(f"{kind}({name})" for name in names for kind in kinds)
+
+
+def of_tools(problem: ContactProblem) -> dict[str, tuple[int, int]]:
+    """Displacements of tools that a force moves: component, and number of the tool."""
+    return {
+        f"tool_{axis}({problem.obstacles[number].boundary})": ("xy".index(axis), place)
+        for place, number in enumerate(problem.tools)
+        for axis in problem.obstacles[number].move or ""
+    }
+
+
+def unknown(problem: ContactProblem) -> tuple[str, ...]:
+    """What is asked for by default: how far forces move tools, the force of other contact, or the energy."""
+    texts = list[str]()
+    for each in problem.obstacles:
+        if each.force is not None:
+            along = zip("xy", each.force, strict=True)
+            texts += [f"tool_{axis}({each.boundary})" for axis, part in along if part]
+        elif isinstance(each.boundary, str):
+            texts.append(f"resultant({each.boundary})")
+    return tuple(texts) or (ENERGY,)
 
 
 def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
@@ -266,7 +292,8 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             return Estimate(computed - above, lacking, computed, defect**2, half=lacking / 2)
         push, gap, end = np.zeros(system.load.size), np.zeros(system.offset.size), 0.0
         if load is not None:
-            push = turned(assembled.turn, load.balanced * skeleton.lengths)[free]
+            edges, tools = load
+            push = turned(assembled.turn, edges, 0 * assembled.conditions.inside.offset, tools)[free]
         elif part is not None:
             nodes, raised, along = on.space.nodes_of(contact_edges(problem, part.obstacle)), 0 * w, w.copy()
             raised[:, nodes] = np.multiply.outer(part.obstacle.normal, weights[nodes])[: len(w)]

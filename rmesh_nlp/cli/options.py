@@ -155,7 +155,8 @@ Quantities = Annotated[
         "--quantity",
         metavar="TEXT",
         help="What --accuracy is for, such as 'resultant(bottom)', 'pressure(bottom, x)', 'peak(bottom)', "
-        "'mean(top, -uy)' or energy; repeat. Default: the normal force of each contact boundary.",
+        "'mean(top, -uy)' or energy; repeat. Default: the normal force of each contact boundary, of a tool "
+        "under a force its displacement.",
     ),
 ]
 Guaranteed = Annotated[

@@ -14,7 +14,15 @@ from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.conditions import is_seen
 from rmesh_nlp.certificate.equilibration import Guess
-from rmesh_nlp.certificate.estimates import ENERGY, OnMesh, by_equilibrium, estimates, of_contact, split
+from rmesh_nlp.certificate.estimates import (
+    ENERGY,
+    OnMesh,
+    by_equilibrium,
+    estimates,
+    of_contact,
+    of_tools,
+    split,
+)
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
@@ -95,9 +103,7 @@ def bounded(
     nodes, exact = final.mesh.p, _on_polygon(final, final.continuous)
     space, windows = exact.continuous.space, []
     under: dict[str, Callable[[float], ContactProblem]] = {
-        f"tool_{axis}({tool.boundary})": partial(_pressed, exact.problem, number, axis)
-        for number, tool in enumerate(problem.obstacles)
-        for axis in tool.move or ""
+        text: partial(_pressed, exact.problem, *at) for text, at in of_tools(problem).items()
     }
     parts = dict(zip(final.contact, space.contact_sets, strict=False))
     for text in dict.fromkeys((*map("resultant({})".format, parts), *quantities)):
@@ -185,11 +191,12 @@ def _loaded(problem: ContactProblem, load: Traction, s: float) -> ContactProblem
     return replace(problem, tractions=(*problem.tractions, Traction(load.boundary, scaled)))
 
 
-def _pressed(problem: ContactProblem, number: int, axis: str, s: float) -> ContactProblem:
+def _pressed(problem: ContactProblem, component: int, place: int, s: float) -> ContactProblem:
     """The problem with a force s more on a tool, along x or y."""
-    tools = list(problem.obstacles)
-    force = zip("xy", tools[number].force or (), strict=True)
-    tools[number] = replace(tools[number], force=tuple(part + s * (name == axis) for name, part in force))
+    tools, number = list(problem.obstacles), problem.tools[place]
+    force = np.array(tools[number].force)
+    force[component] += s
+    tools[number] = replace(tools[number], force=tuple(force))
     return replace(problem, obstacle=tuple(tools))
 
 

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.certificate.estimates import Estimate, OnMesh, by_equilibrium, check, ended, estimates
+from rmesh_nlp.certificate.estimates import (
+    Estimate,
+    OnMesh,
+    by_equilibrium,
+    check,
+    ended,
+    estimates,
+    unknown,
+)
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem.contact_problem import refined
@@ -93,6 +101,16 @@ def test_gaps_between_nodes_count_in_what_is_linear_in_the_displacement() -> Non
     assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 3
 
 
+def test_displacement_of_a_tool_under_a_force_is_asked_for_and_corrected() -> None:
+    press = rm.Obstacle("top", (0.0, -1.0), force=(0.0, -800.0))
+    problem = replace(BODY, dirichlet="bottom", obstacle=press, tractions=())
+    assert unknown(problem) == ("tool_y(top)",)
+    (coarse,), (fine,) = (estimated(p, "tool_y(top)") for p in (problem, replace(refined(problem), order=2)))
+    error = abs(coarse.computed - fine.value)
+    assert abs(coarse.value - fine.value) < error / 4
+    assert 0.7 < coarse.error / error < 1.5
+
+
 @pytest.mark.slow
 def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> None:
     problem = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
@@ -139,7 +157,7 @@ def test_growing_peak_does_not_converge() -> None:
     assert ended(settles).error > abs(settles[-1].value - 1)
 
 
-@pytest.mark.parametrize("text", ["peak(top)", "pressure(bottom, z)", "mean(top, ux*uy)"])
+@pytest.mark.parametrize("text", ["peak(top)", "tool_y(bottom)", "pressure(bottom, z)", "mean(top, ux*uy)"])
 def test_unknown_quantity_is_refused_by_name(text: str) -> None:
     with pytest.raises(BadInputError, match=r"top|bottom"):
         check(text, BODY)
