@@ -16,7 +16,7 @@ corrected.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -115,21 +115,11 @@ class Cascade(Formulation):
         if outer.is_near:
             descent = Descent(self.end, self.iterations)
             return Schedule(descent, (self.regularisation,), self.distortion).run(outer, q, monitor)
-        return Levels(self).run(outer, q, monitor)
-
-
-@dataclass(frozen=True)
-class Levels(Formulation):
-    """The descents of a cascade: each mesh begins with the map of the next coarser one."""
-
-    settings: Cascade = field(default_factory=Cascade)
-
-    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        chosen, budget, ends, levels = self.settings, monitor.budget, list[Outcome](), list[Values]()
+        budget, ends, levels = monitor.budget, list[Outcome](), list[Values]()
 
         def descend() -> None:
             with budget.during("build"):
-                problems = hierarchy(outer.problem, chosen.coarsest, budget)
+                problems = hierarchy(outer.problem, self.coarsest, budget)
             for problem in problems:
                 with budget.during("build"):
                     level = (
@@ -163,11 +153,11 @@ class Levels(Formulation):
             while not end.is_valid(q):
                 q = 0.5 * q
             outcome = Outcome(end, q, monitor.end)
-        gain, weight = outcome.outer.gain or 0.0, chosen.regularisation
+        gain, weight = outcome.outer.gain or 0.0, self.regularisation
         nodes = ", ".join(str(level["nodes"]) for level in levels)
         return outcome.having(
             {
-                **weights_of(weight, chosen.distortion, weight, gain),
+                **weights_of(weight, self.distortion, weight, gain),
                 "outer": "newton",
                 "cascade": levels,
             },
@@ -176,31 +166,26 @@ class Levels(Formulation):
 
     def _searched(self, level: Outer, monitor: Monitor) -> Outcome:
         """Where the schedule of weights ends on the coarsest mesh."""
-        chosen = self.settings
-        heavier = Schedule(Descent(ON_THE_WAY, chosen.iterations), chosen.schedule, chosen.distortion)
+        heavier = Schedule(Descent(ON_THE_WAY, self.iterations), self.schedule, self.distortion)
         begun = monitor.run(heavier, level, np.zeros(level.n))
         if begun.outer.gain is None or monitor.budget.is_over():
             return begun
-        return monitor.run(
-            Descent(chosen.end, chosen.iterations), self._weighted(level, begun.outer), begun.q
-        )
+        return monitor.run(Descent(self.end, self.iterations), self._weighted(level, begun.outer), begun.q)
 
     def _weighted(self, level: Outer, coarser: Outer) -> Outer:
         """The energy with the distortion on a finer mesh: its error falls like the number of nodes."""
-        chosen, problems = self.settings, (coarser.problem, level.problem)
+        problems = coarser.problem, level.problem
         coarse, fine = (float(problem.n_vertices) ** problem.order for problem in problems)
         error = (coarser.gain or 0.0) * coarse / fine
-        objective = regularised(error, chosen.regularisation, chosen.distortion)
-        return level.minimising(objective, error)
+        return level.minimising(regularised(error, self.regularisation, self.distortion), error)
 
     def _corrected(self, level: Outer, before: Outcome, monitor: Monitor) -> Outcome:
         """Where a descent from the map of the next coarser mesh ends."""
-        chosen = self.settings
         with monitor.budget.during("build"):
             weighted = self._weighted(level, before.outer)
             q = _mapped(before, weighted)
-        start = q if weighted.energy.is_defined(q) else np.zeros(level.n)
-        return monitor.run(Descent(chosen.end, chosen.iterations), weighted, start)
+        start = q if weighted.is_valid(q) else np.zeros(level.n)
+        return monitor.run(Descent(self.end, self.iterations), weighted, start)
 
 
 def _mapped(coarse: Outcome, fine: Outer) -> Array:

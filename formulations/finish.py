@@ -46,11 +46,11 @@ def finished(outer: Outer, q: Array, monitor: Monitor) -> Finished:
     if q.size == 0 or is_stationary(outer, point):
         return Finished(q, True)
     last, method = (_newton if outer.objective.collapses else _exact)(outer, point, monitor)
-    if not (is_finite(last) and outer.is_valid(last) and outer.function.is_defined(last)):
+    if not (is_finite(last) and outer.is_valid(last)):
         return Finished(q, False)
     end = outer.function(last)
     violation, value = outer.merit(point)
-    if outer.merit(end) > (violation, value + ROUNDING * abs(value)):
+    if not outer.merit(end) <= (violation, value + ROUNDING * abs(value)):  # not so of NaN
         return Finished(q, False)
     return Finished(last, is_stationary(outer, end), method)
 

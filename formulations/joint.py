@@ -136,6 +136,6 @@ def build(problem: ContactProblem) -> NLP:
 def _own(program: Relocation, result: NLPResult) -> OwnState:
     """The program's own displacement, and contact forces: the multipliers of its gaps and slips."""
     (_, u, _), (normal, friction) = program.split(result.x), program.forces(result.lam_g)
-    tangential = np.zeros(program.parts.n_contact if program.parts.n_s else 0)
+    tangential = np.zeros(program.parts.n_contact)
     tangential[program.parts.friction_rows] = friction
     return OwnState(u, normal, tangential)

@@ -107,7 +107,7 @@ class Block:
     ``whole`` has the pattern of the matrix and numbers its nonzeros, see :func:`numbered`.
     """
 
-    def __init__(self, whole: sp.csc_array, rows: slice, columns: slice) -> None:
+    def __init__(self, whole: sp.csc_array, rows: slice = slice(None), columns: slice = slice(None)) -> None:
         self._form(whole[rows, columns])
 
     def _form(self, numbered: sp.csc_array) -> None:

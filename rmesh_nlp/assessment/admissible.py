@@ -112,9 +112,7 @@ class Continuous:
         for cells in self.cells:  # at edges coefficients, on the arc if there is one
             rows, at_nodes = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
             offset[rows[rows >= 0]] = at_nodes[rows >= 0]
-        frictional = np.zeros(along.size, dtype=bool)
-        frictional[space.friction_rows] = True
-        bounds = np.zeros(along.size if self.problem.frictional else 0)
+        bounds = np.zeros(along.size)
         for part, edges in self._rubbing:
             friction = np.zeros(space.n_nodes)
             shares = shape_integrals(edges, part.obstacle.friction_law.given, space.order).value
@@ -128,7 +126,7 @@ class Continuous:
             tangents=tangents,
             offset=offset + along,
             slip_bound=bounds,
-            frictional=frictional,
+            frictional=space.frictional,
             rigid=self.parts.rigid_motions(nodes),
             coulomb=coefficients(space, nodes),
         )
@@ -350,7 +348,7 @@ def _in_contact(program: ContactSystem, x: Array) -> Equilibrium:
     rotated, bound = program.rotated, program.slip_bound
     residual = rotated.basis.T @ (program.stiffness @ x - program.load)
     normal = np.maximum(residual[rotated.normal], 0.0)
-    along = np.where(rotated.slips, residual[rotated.tangent], 0.0)[: bound.size]
+    along = np.where(rotated.slips, residual[rotated.tangent], 0.0)
     sliding = np.where(np.abs(along) < bound * (1 - 1e-6), 0, -np.sign(along)).astype(np.int8)
     active = ActiveSet(normal > ROUNDING * max(program.force_scale, magnitude(normal)), sliding)
     return Equilibrium(x, np.nan, normal, along, active, Status.CONVERGED, 1)

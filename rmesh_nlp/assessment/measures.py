@@ -62,10 +62,8 @@ def residuals(system: ContactSystem, state: Equilibrium | OwnState) -> ContactRe
 
 def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
     """``max |K u - F - N^T lambda - T^T tau|`` over the largest applied nodal force."""
-    residual = system.stiffness @ u - system.load - system.normals.T @ normal
-    if system.slip_bound.size:
-        residual = residual - system.tangents.T @ tangential
-    return float(magnitude(residual) / system.force_scale)
+    forces = system.normals.T @ normal + system.tangents.T @ tangential
+    return float(magnitude(system.stiffness @ u - system.load - forces) / system.force_scale)
 
 
 def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
@@ -78,9 +76,7 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
     length = max(magnitude(u), 1e-300)
     force, bound = system.force_scale, system.bound(normal)
     gap = system.normals @ u + system.offset
-    violations = np.abs(np.minimum(gap / length, normal / force))
-    if bound.size:
-        slip = (system.tangents @ u) * force / length
-        missing = tangential + np.clip(slip - tangential, -bound, bound)
-        violations = np.append(violations, np.abs(missing) / force)
-    return float(np.max(violations, initial=0.0))  # not a number if one part is none
+    slip = (system.tangents @ u) * force / length
+    missing = tangential + np.clip(slip - tangential, -bound, bound)
+    violations = np.append(np.minimum(gap / length, normal / force), missing / force)
+    return magnitude(violations)  # not a number if one part is none

@@ -147,7 +147,7 @@ def _slack(balance: Balance, u: Array) -> Array:
     assembled = balance.assembled
     traces, (offset, inside) = assembled.of_displacement(u), (assembled.conditions.offset, balance.inside)
     gap = (assembled.normals @ traces)[inside.size :].reshape(offset.shape) + offset
-    slip = (assembled.tangents @ traces).reshape(offset.shape)  # a scalar problem has no friction
+    slip = (assembled.tangents @ traces)[inside.size :].reshape(offset.shape)
     return np.sum(balance.pressure * gap + balance.friction * slip, axis=0)
 
 
@@ -163,7 +163,7 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     assembled, scale = balance.assembled, float(np.max(np.abs(field.forces), initial=1e-300))
     total = np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel(), assembled.held.size)
     total = assembled.turn @ total - assembled.applied
-    pressing, along = assembled.normals[balance.inside.size :], assembled.tangents
+    pressing, along = (part[balance.inside.size :] for part in (assembled.normals, assembled.tangents))
     total -= pressing.T @ (balance.pressure * edge).ravel() + along.T @ (balance.friction * edge).ravel()
     slipping = np.abs(balance.friction) - conditions.friction
     parts = (np.abs(np.where(assembled.held, 0.0, total)), -balance.pressure * edge, slipping * edge)

@@ -151,7 +151,7 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     inside = guess.pressure[skeleton.inside(degree)[:, conditions.inside.elements]].T.ravel()
     pressing = np.append(inside, (guess.pressure[along] * edge).ravel())
     touching, bound = pressing > 0, system.bound((1 - ROUNDING) * pressing)
-    friction = (guess.friction[along] * edge).ravel()[: bound.size]
+    friction = np.append(0 * inside, guess.friction[along] * edge)
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     solved = solve(system, ActiveSet(touching, sliding))
     if solved.status is not Status.CONVERGED:
@@ -168,10 +168,11 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     traces = assembled.base.copy()
     traces[~held] += u
     W = traces - assembled.start
-    friction = np.pad(friction, (0, conditions.offset.size - friction.size))
     push = assembled.normals.T @ force + assembled.tangents.T @ friction
     reaction = (assembled.matrix @ W - assembled.load - push)[held] @ traces[held]
-    inside, pressure = np.split(force, [conditions.inside.offset.size])
+    (inside, pressure), (_, friction) = (
+        np.split(part, [conditions.inside.offset.size]) for part in (force, friction)
+    )
     functions = len(conditions.inside.offset)
     return Balance(
         traces=assembled.by_element(W),

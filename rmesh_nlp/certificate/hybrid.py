@@ -45,7 +45,7 @@ class Hybrid:
     conditions: Conditions
     system: ContactSystem  # in the traces that are not given; gaps of an obstacle in the interior first
     normals: sp.csr_array  # (gaps, traces), those of the system with the given traces
-    tangents: sp.csr_array  # those of the contact edges, with friction or without
+    tangents: sp.csr_array  # of the same gaps, with friction or without; zero of those in the interior
     matrix: sp.csc_array  # (traces, traces)
     applied: Array  # (traces,), the given forces on edges and tools
     load: Array  # (traces,)
@@ -95,14 +95,13 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     along = jumps(skeleton, conditions)
     normals = sp.csr_array(sp.vstack([sp.csr_array(sp.eye_array(size))[added] * inside.sign, along[-1]]))
     gap = np.append(inside.offset.T.ravel(), conditions.offset.ravel()) + normals @ base
-    tangents, bound, coulomb = along[0], np.zeros(0), None
-    if np.any(conditions.friction + conditions.coulomb > 0):
-        loads = conditions.friction * lengths[conditions.contact]
-        own = tangents @ sp.diags_array((~held & (np.arange(size) < edges)).astype(float))
-        share = own.power(2).sum(axis=1)
-        bound, coulomb = (np.where(share > 0, each.ravel(), 0.0) for each in (loads, conditions.coulomb))
-        # friction turns where the slip is zero
-        base = base - own.T @ (tangents @ base / np.maximum(share, 1.0))
+    tangents = sp.vstack([sp.csr_array((none.size, size)), along[0]], "csr")
+    rubs = np.any(conditions.friction + conditions.coulomb > 0)
+    own = tangents @ sp.diags_array((rubs & ~held & (np.arange(size) < edges)).astype(float))
+    share, loads = own.power(2).sum(axis=1), conditions.friction * lengths[conditions.contact]
+    bound, coulomb = (np.where(share > 0, np.append(none, each), 0.0) for each in (loads, conditions.coulomb))
+    # friction turns where the slip is zero
+    base = base - own.T @ (tangents @ base / np.maximum(share, 1.0))
     motions = rigid_motions(problem, skeleton.nodes)
     rigid = [_of_displacement(turn, skeleton, conditions, motion, 1)[free] for motion in motions]
     system = ContactSystem(
@@ -110,9 +109,10 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
         (load - matrix @ (base - start))[free],
         0.0,
         normals[:, free],
-        tangents[: bound.size, free],
+        tangents[:, free],
         gap,
         bound,
+        np.full(gap.size, rubs),
         rigid=np.stack(rigid, axis=1) if rigid else None,
         coulomb=None if problem.has_energy else coulomb,
     )

@@ -37,7 +37,7 @@ def interior_point(system: ContactSystem, start: Equilibrium) -> Iterator[tuple[
     multipliers of a slip are. The sets end when products of forces and gaps are too small for a number.
     """
     bound = system.slip_bound
-    slides = np.flatnonzero(system.rotated.slips & (bound > 0)) if bound.size else np.zeros(0, np.int64)
+    slides = np.flatnonzero(system.rotated.slips & (bound > 0))
     rows = system.normals, system.tangents[slides]
     program = BarrierProgram(system.stiffness, system.load, *rows, bound[slides], lambda _: system.offset)
     for _, y, z in program.steps(start.u, start.normal_force):

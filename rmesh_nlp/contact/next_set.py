@@ -20,20 +20,18 @@ def next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tu
     small_gap = 1e-13 * max(magnitude(state.u), 1e-300)
     gap = system.normals @ state.u + system.offset
     touching = np.where(active.touching, state.normal_force >= -small_force, gap < -small_gap)
-    sliding = active.sliding
-    if system.slip_bound.size:
-        slip, force = system.tangents @ state.u, state.tangential_force
-        onset = np.where(np.abs(force) > system.bound(state.normal_force) + small_force, -np.sign(force), 0)
-        stays = active.sliding * slip >= -small_gap
-        sliding = np.where(active.sliding == 0, onset, np.where(stays, active.sliding, 0)).astype(np.int8)
-        if system.coulomb is not None:  # nothing holds an open node, whichever way it slides
-            free = ~(active.touching & touching) & (system.slip_bound == 0)
-            # a node that meets the foundation sticks if the overlap presses enough for its slip
-            sticks = touching & (np.abs(slip) <= -system.coulomb * gap)
-            way = np.where(sticks, 0, np.where(slip < 0, -1, 1))
-            sliding = np.where(free, way, sliding).astype(np.int8)
-            counts = active.touching | touching | ~free | (active.sliding == 0)
-            sliding = np.where(counts, sliding, active.sliding).astype(np.int8)
+    slip, force = system.tangents @ state.u, state.tangential_force
+    onset = np.where(np.abs(force) > system.bound(state.normal_force) + small_force, -np.sign(force), 0)
+    stays = active.sliding * slip >= -small_gap
+    sliding = np.where(active.sliding == 0, onset, np.where(stays, active.sliding, 0)).astype(np.int8)
+    if system.coulomb is not None:  # nothing holds an open node, whichever way it slides
+        free = ~(active.touching & touching) & (system.slip_bound == 0)
+        # a node that meets the foundation sticks if the overlap presses enough for its slip
+        sticks = touching & (np.abs(slip) <= -system.coulomb * gap)
+        way = np.where(sticks, 0, np.where(slip < 0, -1, 1))
+        sliding = np.where(free, way, sliding).astype(np.int8)
+        counts = active.touching | touching | ~free | (active.sliding == 0)
+        sliding = np.where(counts, sliding, active.sliding).astype(np.int8)
     wrong = np.sum(touching != active.touching) + np.sum(sliding != active.sliding)
     return ActiveSet(touching, sliding), int(wrong)
 

@@ -16,7 +16,6 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, largest_side, magnitude
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.meshes.curves import FITTED, fitted
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
 from rmesh_nlp.problem import ContactProblem, Place
@@ -177,7 +176,7 @@ def _is_accepted(problem: ContactProblem, name: str, kind: str) -> bool:
         MeshMap.of(curved)
     except ValueError:
         return False
-    return is_upright(curved, curved.mesh.p)
+    return Body(curved, curved.mesh.p).is_upright()
 
 
 def _turns(problem: ContactProblem, name: str) -> Array:

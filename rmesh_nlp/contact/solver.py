@@ -31,11 +31,11 @@ def contact_rows(
 ) -> tuple[sp.csr_array, sp.csr_array, Array]:
     """Sparse rows (gaps, n_u) of normals and tangents, and normal displacements (gaps,) that are given.
 
-    At vertex positions (2, vertices) and a design; a scalar problem has no tangents.
+    At vertex positions (2, vertices) and a design; in a scalar problem rows of tangents are empty.
     """
     index, given = parts.displacement.index, parts.displacement.values(np.zeros(parts.n_u))
     free, normals = np.argsort(index, axis=None)[index.size - parts.n_u :], _rows(parts, nodes, at)
-    tangents = _rows(parts, nodes, at, along=True) if len(index) == 2 else normals[:0]
+    tangents = _rows(parts, nodes, at, along=True) if len(index) == 2 else sp.csr_array(normals.shape)
     return normals[:, free], tangents[:, free], normals @ given.ravel()
 
 
@@ -84,8 +84,6 @@ class ContactSolver:
         (components, nodes), the displacement as a function of the unknowns u (n_u,).
     contact_nodes : int array
         The node of every gap.
-    frictional : bool array
-        Whether friction may act there.
     normals, tangents : sparse arrays
         Those of the contact system on the initial mesh; where no foundation is curved, on every mesh.
     """
@@ -101,8 +99,6 @@ class ContactSolver:
         self._friction = _AtZero(parts, friction(on), parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
         self.normals, self.tangents, _ = contact_rows(parts, problem.mesh.p, problem.start)
-        self.frictional = np.zeros(parts.n_contact, dtype=bool)
-        self.frictional[parts.friction_rows] = True
         if parts.floats:
             system = self.system(problem.mesh.p)
             check_load(system, problem)
@@ -124,7 +120,7 @@ class ContactSolver:
             tangents=tangents,
             offset=offset,
             slip_bound=self._slip_bound(given),
-            frictional=self.frictional,
+            frictional=self.discretisation.space.frictional,
             rigid=self.discretisation.rigid_motions(nodes),
             coulomb=coefficients(self.discretisation.space, nodes, at),
         )
@@ -148,8 +144,7 @@ class ContactSolver:
         given = self.discretisation.vertices.values(nodes)
         value, (pull, _, hessian) = self._elastic(given)
         strain = 0.5 * float(u @ (self._elastic.matrix(hessian) @ u)) + float(pull @ u) + value
-        bound = self._slip_bound(given)
-        return strain, float(bound @ np.abs(self.slips(nodes, u))) if bound.size else 0.0
+        return strain, float(self._slip_bound(given) @ np.abs(self.slips(nodes, u)))
 
     def slips(self, nodes: Array, u: Array, design: Array | None = None) -> Array:
         """Displacements (gaps,) along the tangents at vertex positions (2, vertices) and a design."""
@@ -165,10 +160,10 @@ class ContactSolver:
         return start if design is None else dict(zip(start, design.tolist(), strict=True))
 
     def _slip_bound(self, given: Array) -> Array:
-        """(gaps,) the largest friction forces; empty without friction."""
-        bound = np.zeros(self.frictional.size if self.problem.frictional else 0)
-        if bound.size:  # the friction energy is linear in the slips: its gradient is their bounds
-            bound[self.frictional] = self._friction(given)[1][0]
+        """(gaps,) the largest friction forces."""
+        bound = np.zeros(self.contact_nodes.size)
+        # the friction energy is linear in the slips: its gradient is their bounds
+        bound[self.discretisation.friction_rows] = self._friction(given)[1][0]
         return bound
 
 

@@ -34,13 +34,13 @@ class ContactSystem:
     stiffness, load, constant : (m, m) sparse array, (m,) array, float
         K, F, and the energy at zero displacement.
     normals, tangents : (gaps, m) sparse arrays
-        N and T, rows with unit vectors; a scalar problem has no tangents.
+        N and T, rows with unit vectors; those of T are empty in a scalar problem.
     offset : (gaps,) array
         gamma, the gap at zero displacement.
     slip_bound : (gaps,) array
-        b = g omega, the largest tangential force; empty without friction.
-    frictional : (gaps,) bool array, optional
-        Where friction may act if there is any; everywhere by default.
+        b = g omega, the largest tangential force; zero without friction.
+    frictional : (gaps,) bool array
+        Where friction may act.
     rigid : (m, motions) array, optional
         Rigid motions that only contact prevents; none by default.
     coulomb : (gaps,) array, optional
@@ -54,12 +54,12 @@ class ContactSystem:
     tangents: sp.csr_array
     offset: Array
     slip_bound: Array
-    frictional: Mask | None = None
+    frictional: Mask
     rigid: Array | None = None
     coulomb: Array | None = None
 
     def bound(self, normal: Array) -> Array:
-        """(gaps,) the largest tangential force under contact forces (gaps,); empty without friction."""
+        """(gaps,) the largest tangential force under contact forces (gaps,)."""
         if self.coulomb is None:
             return self.slip_bound
         return self.slip_bound + self.coulomb * np.maximum(normal, 0.0)
@@ -71,7 +71,7 @@ class ContactSystem:
 
     def energy(self, u: Array) -> float:
         """J(u), friction of Tresca included."""
-        friction = self.slip_bound @ np.abs(self.tangents @ u) if self.slip_bound.size else 0.0
+        friction = self.slip_bound @ np.abs(self.tangents @ u)
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u + self.constant + friction)
 
     def with_offset(self, offset: Array) -> ContactSystem:
@@ -96,18 +96,15 @@ class ContactSystem:
     @property
     def of_gaps(self) -> ContactSystem | None:
         """The program in gaps and slips alone, all else in equilibrium; None as of :meth:`condensed`."""
-        rotated, n, rigid = self.rotated, self.offset.size, self.rigid
-        slips = np.flatnonzero(rotated.slips)
-        last = np.append(rotated.normal, rotated.tangent[slips])
-        if last.size == 0 or last.size**2 > self.stiffness.nnz:
-            return None
-        part, one = Condensed(rotated.K, rotated.F, last), np.eye(last.size)
-        along = np.zeros((self.tangents.shape[0], last.size))
-        along[slips] = one[n:]
-        if rigid is not None:
-            rigid = sp.vstack([self.normals, self.tangents[slips]]) @ rigid
-        rows = {"normals": sp.csr_array(one[:n]), "tangents": sp.csr_array(along)}
-        return replace(self, stiffness=sp.csc_array(part.S), load=part.load, rigid=rigid, **rows)
+        rotated, last, rigid, (gaps, m) = self.rotated, self.rotated.last, None, self.normals.shape
+        slips, unit = np.flatnonzero(rotated.slips), sp.csr_array(sp.eye_array(m))
+        along = sp.csr_array((np.ones(slips.size), (slips, last[gaps:])), shape=(gaps, m))
+        if self.rigid is not None:
+            rigid = np.zeros_like(self.rigid)
+            rigid[last] = sp.vstack([self.normals, self.tangents[slips]]) @ self.rigid
+        rows = {"normals": unit[rotated.normal], "tangents": along}
+        turned = replace(self, stiffness=rotated.K, load=rotated.F, rigid=rigid, **rows).condensed(last)
+        return turned and turned[0]
 
     @cached_property
     def rotated(self) -> RotatedSystem:
@@ -119,15 +116,13 @@ class ContactSystem:
         rotated = self.rotated
         F = rotated.F.copy()
         friction = -self.slip_bound * active.sliding
-        if friction.size:
-            F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
+        F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
         w = rotated.solved(active, F, self.offset)
         residual = rotated.K @ w - rotated.F
         normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
-        if friction.size:
-            if self.coulomb is not None:
-                friction = friction - active.sliding * self.coulomb * normal_force
-            friction = np.where(rotated.sticking(active), residual[rotated.tangent], friction)
+        if self.coulomb is not None:
+            friction = friction - active.sliding * self.coulomb * normal_force
+        friction = np.where(rotated.sticking(active), residual[rotated.tangent], friction)
         u = rotated.basis @ w
         return Equilibrium(u, self.energy(u), normal_force, friction, active, Status.CONVERGED, 1)
 
@@ -147,12 +142,9 @@ class ContactSystem:
         """
         force, length = self.force_scale, max(magnitude(state.u), 1e-300)
         weak = both_vanish((self.normals @ state.u + self.offset) / length, state.normal_force / force)
-        if self.slip_bound.size:
-            slip = self.tangents @ state.u
-            reserve = self.bound(state.normal_force) - np.abs(state.tangential_force)
-            acts = True if self.frictional is None else self.frictional
-            weak |= acts & both_vanish(slip / length, reserve / force)
-        return weak
+        slip = self.tangents @ state.u
+        reserve = self.bound(state.normal_force) - np.abs(state.tangential_force)
+        return weak | (self.frictional & both_vanish(slip / length, reserve / force))
 
     @property
     def force_scale(self) -> float:
@@ -233,9 +225,14 @@ class RotatedSystem:
         self._coulomb = system.coulomb
         self._factor: tuple[bytes, Factors] | None = None
 
+    @property
+    def last(self) -> Index:
+        """The unknowns that are gaps, then those that are slips."""
+        return np.append(self.normal, self.tangent[self.slips])
+
     def sticking(self, active: ActiveSet) -> Mask:
         """Nodes whose slip the active set holds."""
-        return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
+        return self.slips & (active.sliding == 0)
 
     def factor(self, active: ActiveSet) -> Factors:
         """Factors of the stiffness over the free unknowns; the last ones are kept.
@@ -299,11 +296,8 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array, Index, Index]:
     depends on most, of those that no row with fewer has taken, and a slip that of one which is left.
     """
     N, T, taken = system.normals, system.tangents, np.zeros(system.load.size, dtype=bool)
-    slides = np.arange(system.slip_bound.size)
-    if system.frictional is not None:
-        slides = slides[system.frictional[: slides.size]]
     normal, tangent = _places(N, taken), np.full(N.shape[0], -1)
-    tangent[slides] = _places(T[slides], taken)
+    tangent[system.frictional] = _places(T[system.frictional], taken)
     slips = np.flatnonzero(tangent >= 0)
     places, rest = np.append(normal, tangent[slips]), np.flatnonzero(~taken)
     rows, order = sp.vstack([N, T[slips]], format="csr"), np.append(places, rest)

@@ -16,11 +16,11 @@ large. A bound over all patterns by norms holds for F below 0.2 on 12 x 6 square
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
+from rmesh_nlp.contact.factorisation import Condensed
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, magnitude
 
@@ -49,12 +49,7 @@ def contraction(system: ContactSystem, state: Equilibrium) -> float:
 
 def condensed(system: ContactSystem) -> Array:
     """(k, k) stiffness of gaps, and then of slips where friction acts, with all else free."""
-    rotated = replace(system, coulomb=None).rotated  # the factors of the solution are kept
-    every = np.ones(system.offset.size, dtype=bool)
-    inside, solve, _ = rotated.factor(ActiveSet(every, np.zeros(every.size, dtype=np.int8)))
-    held = np.append(rotated.normal, rotated.tangent[rotated.slips])
-    columns = rotated.K[:, held].toarray()
-    return columns[held] - columns[inside].T @ solve(columns[inside])
+    return Condensed(system.rotated.K, system.rotated.F, system.rotated.last).S
 
 
 def spectral_radius(system: ContactSystem, stiffness: Array, active: ActiveSet) -> float:

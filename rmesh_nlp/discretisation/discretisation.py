@@ -65,6 +65,7 @@ class Discretisation:
         """That of a problem."""
         space, mesh_map = DisplacementSpace(problem), MeshMap.of(problem)
         displacement, n_u = displacement_field(space)
+        friction_rows = np.flatnonzero(space.frictional)
         return cls(
             problem,
             space,
@@ -75,8 +76,8 @@ class Discretisation:
             mesh_map.n,
             n_u,
             space.contact_nodes.size,
-            space.friction_rows.size,
-            space.friction_rows,
+            friction_rows.size,
+            friction_rows,
             rigid_motions(problem).size > 0,
         )
 

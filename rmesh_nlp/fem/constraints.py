@@ -67,17 +67,6 @@ class ConstraintRows:
         first = [as_row(group, k) for k, value in enumerate(self.values) for group in value.groups]
         return [*first, *self.nodal]
 
-    def combined(self, sums: Array) -> tuple[Array, Array]:
-        """(rows,) the functions of ``sums`` (m,), and their derivatives (rows, m)."""
-        value, slope, first = np.zeros(self.size), np.zeros((self.size, sums.size)), 0
-        for row, functional in enumerate(self.values):
-            n = len(functional.sums)
-            if n:
-                result, gradient = functional.function(sums[first : first + n])
-                value[row], slope[row, first : first + n] = float(result), gradient.full().ravel()
-            first += n
-        return value, slope
-
 
 def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> ConstraintRows:
     """The rows of constraints on these fields; a ValueError where one does not suit the problem."""

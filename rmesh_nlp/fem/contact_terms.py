@@ -131,7 +131,7 @@ def bounds(on: Fields, part: ContactSet, bound: Coefficient, values: Field) -> l
 
 def slips(on: Fields, first_row: int = 0) -> list[ElementGroup]:
     """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``."""
-    groups, n_s = [], on.space.friction_rows.size
+    groups, n_s = [], np.count_nonzero(on.space.frictional)
     for part, numbers in _frictional(on.space):
         slip = on.slip.component(part.number)
         for which, vertices, shares in on.space.kinds(part.nodes):

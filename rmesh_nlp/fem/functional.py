@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Evaluator, Expression
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.element import NO_ROWS, local_symbols
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field
@@ -55,18 +55,6 @@ class Functional:
         """A smooth function of its value."""
         return Functional([], (self.groups, *self.sums), lambda s: function(s[0] + self.combine(s[1:])))
 
-    @property
-    def rows(self) -> Groups:
-        """Groups of the sums as rows, numbered from zero."""
-        return [as_row(group, k) for k, groups in enumerate(self.sums) for group in groups]
-
-    @property
-    def function(self) -> ca.Function:
-        """``(S) -> (combine(S), its gradient)``."""
-        s = ca.SX.sym("S", len(self.sums))
-        value = ca.SX(self.combine(s))
-        return ca.Function("combine", [s], [value, ca.densify(ca.gradient(value, s))])
-
     def combined(self, sums: Field) -> ElementGroup:
         """``combine`` of sums that are unknowns, a field (m, 1)."""
         s = ca.SX.sym("S", len(self.sums))
@@ -76,8 +64,7 @@ class Functional:
     def evaluate(self) -> Callable[[Array], float]:
         """A function of the unknowns ``x``: the value."""
         first, sums = _total(self.groups), self.sum_values
-        combine = Evaluator(self.function)
-        return lambda x: first(x) + (float(combine(sums(x))[0][0]) if self.sums else 0.0)
+        return lambda x: first(x) + (float(self.combine(ca.DM(sums(x)))) if self.sums else 0.0)
 
     @cached_property
     def sum_values(self) -> Callable[[Array], Array]:

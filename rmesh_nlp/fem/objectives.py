@@ -32,7 +32,7 @@ from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.fem.objective import Groups, Term
 from rmesh_nlp.fem.space import outward_edges
 from rmesh_nlp.problem import ExactSolution, Obstacle
-from rmesh_nlp.problem.coefficients import OPEN
+from rmesh_nlp.problem.laws import entries
 
 ERROR_DEGREE = 10
 """Degree of the rules for error integrals: high, since an optimiser exploits a low one."""
@@ -115,17 +115,14 @@ def _friction(on: Fields) -> list[ElementGroup]:
 
 def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool = False) -> ElementGroup:
     """Work of the exact stress on one contact boundary: normal on the gap, or ``along`` it on the slip."""
-    n, law = on.problem.components, on.problem.laws[0]
-    solution, gradient = _with_gradient(exact), ca.SX.sym("gradient", n, 2)
-    # the stress is the derivative of the energy density by the gradient
-    u, x = ca.SX.sym("u", n), ca.SX.sym("x", 2)
-    energy = law.energy_density(law.extended(gradient, u, x))
-    stress = ca.Function("stress", [u, gradient, x], [ca.gradient(energy, gradient)], OPEN)
+    law, solution = on.problem.laws[0], _with_gradient(exact)
 
     def density(x: Expression, y: Expression, u: Expression, n: Expression) -> Expression:
         direction = obstacle.tangential(x, y) if along else obstacle.direction(x, y)
         way = ca.dot(direction, u) + (0 if along else obstacle.distance(x, y))
-        return ca.dot(direction, stress(*solution(x, y), ca.vertcat(x, y)) @ n) * way
+        value, gradient = solution(x, y)
+        stress = ca.blockcat(law.stress(entries(law.extended(gradient, value, ca.vertcat(x, y)))))
+        return ca.dot(direction, stress[:, :2] @ n) * way
 
     edges = outward_edges(on.problem, str(obstacle.boundary))
     return on.integral("contact_error", edges, ERROR_DEGREE, density, kind=exact.symbol)

@@ -210,9 +210,10 @@ class DisplacementSpace:
         return numbers_of(part.nodes for part in self.contact_sets)
 
     @cached_property
-    def friction_rows(self) -> Index:
-        """(n_s,) numbers of the gaps at which friction may act."""
-        return numbers_of(part.rows for part in self.contact_sets if part.obstacle.friction_law)
+    def frictional(self) -> Mask:
+        """(gaps,) whether friction may act."""
+        each = (np.full(part.nodes.size, bool(part.obstacle.friction_law)) for part in self.contact_sets)
+        return np.concatenate([np.zeros(0, dtype=bool), *each])
 
     def weights(self, X: Array) -> Array:
         """omega_i of (5.9) for every gap: the integral of its node's shape function over the boundary.

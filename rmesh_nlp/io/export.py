@@ -20,9 +20,10 @@ from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.folder import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, file_mesh, three
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.mapping.validity import is_upright, least_angles
+from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user, signed_areas
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.solution import Solution
@@ -189,7 +190,7 @@ class Series:
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
             unknowns = np.full(model.n_u, np.nan)
-            if is_upright(self.problem, nodes):
+            if Body(self.problem, nodes).is_upright():
                 design = free.design(np.asarray(step.q)) if self.problem.design else None
                 state = solve(model.system(nodes, design), active)
                 unknowns, active = state.u, state.active

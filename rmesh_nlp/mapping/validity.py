@@ -11,14 +11,16 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, Mask, cross
+from rmesh_nlp.evaluation import ROUNDING, Array, Block, Expression, Index, Mask, Symmetric, cross
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import NONE, ElementGroup, constant_field
 from rmesh_nlp.fem.reach import corners, least_areas
 from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
 
@@ -59,6 +61,20 @@ class Validity:
     def assembled(self) -> Assembled:
         """The rows and their derivatives as functions of ``q`` and an empty ``p``."""
         return Assembled([self.group], self.q, ca.MX(0, 1), self.size)
+
+    def at(self, q: Array) -> Linearised:
+        """The rows less their bounds, at a valid ``q``."""
+        *_, value, jacobian = self.assembled.first(q, None)
+        return Linearised(value - self.bound, sp.csr_array(self._blocks[0](jacobian)))
+
+    def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
+        """The Hessian of ``multipliers . rows``."""
+        (values,) = self.assembled.second(q, None, np.zeros(1), multipliers)
+        return self._blocks[1](values)
+
+    @cached_property
+    def _blocks(self) -> tuple[Block, Symmetric]:
+        return Block(self.assembled.first.pattern), Symmetric(self.assembled.second.pattern)
 
     @property
     def upright_group(self) -> ElementGroup:
@@ -121,13 +137,6 @@ def least_area_ratio(problem: ContactProblem, nodes: Array) -> float:
     return float(np.min(area_ratios(problem, nodes)))
 
 
-def is_upright(problem: ContactProblem, nodes: Array) -> bool:
-    """Whether no element is inverted, flat, or cut through by its arc, with nodes at ``nodes`` (2, nodes)."""
-    if problem.motion.curves:
-        return Body(problem, nodes).is_upright()
-    return bool(np.min(signed_areas(nodes, problem.triangles)) > 0)
-
-
 def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False) -> bool:
     """Whether all elements keep the least area and angle that the motion asks for, up to ``ROUNDING``.
 
@@ -135,14 +144,14 @@ def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False)
     angle is asked for they need a positive area only.
     """
     motion = problem.motion
+    if not Body(problem, nodes).is_upright():
+        return False
     if motion.min_angle == 0 and by_barrier:
-        return is_upright(problem, nodes)
-    large = is_upright(problem, nodes) and (
-        least_area_ratio(problem, nodes) >= motion.min_area_fraction - ROUNDING
-    )
-    if motion.min_angle == 0 or not large:
-        return large
-    return bool(np.min(least_angles(nodes, problem.triangles)) >= motion.min_angle - np.rad2deg(ROUNDING))
+        return True
+    if least_area_ratio(problem, nodes) < motion.min_area_fraction - ROUNDING:
+        return False
+    angle = motion.min_angle - np.rad2deg(ROUNDING)
+    return motion.min_angle == 0 or bool(np.min(least_angles(nodes, problem.triangles)) >= angle)
 
 
 def least_angles(nodes: Array, triangles: NDArray) -> Array:

@@ -17,18 +17,16 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 
 from rmesh_nlp.discretisation import Discretisation, Numbering, discretise
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array, Block, Symmetric
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import gaps, slips
 from rmesh_nlp.fem.fields import ElementGroup, Field, Fields
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY, energy
 from rmesh_nlp.mapping.validity import Validity
-from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
 
@@ -162,22 +160,3 @@ def relocation(
         tuple(position_groups),
         length,
     )
-
-
-class ElementConstraints:
-    """The validity rows of one problem, less their bounds."""
-
-    def __init__(self, relocation: Relocation) -> None:
-        self._rows, self._bound = relocation.validity.assembled, relocation.validity.bound
-        self._jacobian = Block(self._rows.first.pattern, slice(None), slice(None))
-        self._hessian = Symmetric(self._rows.second.pattern)
-
-    def at(self, q: Array) -> Linearised:
-        """The rows at a valid ``q``."""
-        *_, value, jacobian = self._rows.first(q, None)
-        return Linearised(value - self._bound, sp.csr_array(self._jacobian(jacobian)))
-
-    def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
-        """The Hessian of ``multipliers . rows``."""
-        (values,) = self._rows.second(q, None, np.zeros(1), multipliers)
-        return self._hessian(values)

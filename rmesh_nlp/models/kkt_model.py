@@ -52,13 +52,6 @@ class ContactPoint:
     equilibrium: Equilibrium
 
     @property
-    def friction(self) -> tuple[Array, Array, Array]:
-        """(gaps,) slip magnitudes and the multipliers of both slip rows; empty without friction."""
-        if self.system.slip_bound.size == 0:
-            return (np.zeros(0),) * 3
-        return self.system.friction(self.equilibrium)
-
-    @property
     def weak(self) -> Mask:
         """Contact nodes without strict complementarity: gradients other than the energy's are one of many."""
         return self.system.weak(self.equilibrium)
@@ -139,7 +132,7 @@ class Bilevel:
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
         q, u, normal, _, minus, plus, _ = self.unknowns.split(x)
-        tangential = np.zeros(self.parts.n_contact if self.parts.friction_rows.size else 0)
+        tangential = np.zeros(self.parts.n_contact)
         tangential[self.parts.friction_rows] = (plus - minus) * self.force
         return q, u * self.length, normal * self.force, tangential
 
@@ -164,7 +157,7 @@ def rows_of(parts: Discretisation, sums: int, constraints: int) -> Numbering:
 
 def kkt_unknowns(point: ContactPoint, friction_rows: Index) -> Array:
     """The unknowns ``(q, u, lambda, s, mu-, mu+)`` of the KKT conditions at a contact solution."""
-    friction = (part[friction_rows] for part in point.friction)
+    friction = (part[friction_rows] for part in point.system.friction(point.equilibrium))
     return np.concatenate([point.q, point.equilibrium.u, point.equilibrium.normal_force, *friction])
 
 

@@ -35,7 +35,7 @@ class KKTConditions:
 
     def __init__(self, program: Bilevel) -> None:
         self.program = program
-        self._block = Block(program.assembled.first.pattern, slice(None), slice(None))
+        self._block = Block(program.assembled.first.pattern)
         self._last: KKTPoint | None = None
 
     @cached_property
@@ -145,7 +145,7 @@ class KKTPoint:
         """Of C_y; None where it is singular or not defined."""
         parts = self.program.parts
         touching, minus, plus = parts.pairs.split(self.members[0])
-        sliding = np.zeros(parts.n_contact if parts.n_s else 0, dtype=np.int8)
+        sliding = np.zeros(parts.n_contact, dtype=np.int8)
         sliding[parts.friction_rows] = minus.astype(np.int8) - plus
         if not is_finite(self.jacobian.data):
             return None
@@ -208,7 +208,7 @@ class KKTPoint:
 
 def held_by(program: Bilevel, active: ActiveSet) -> Mask:
     """The pairs whose first member an active set holds at zero: contact, stick, one side of what slides."""
-    sliding = active.sliding[program.parts.friction_rows] if active.sliding.size else np.zeros(0)
+    sliding = active.sliding[program.parts.friction_rows]
     return np.concatenate([active.touching, sliding >= 0, sliding <= 0])
 
 

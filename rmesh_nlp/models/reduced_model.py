@@ -20,8 +20,7 @@ from rmesh_nlp.evaluation import Array, Block
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
-from rmesh_nlp.mapping.validity import is_upright
-from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.kkt_model import ContactPoint, in_units_of
 from rmesh_nlp.models.kkt_point import KKTConditions
 from rmesh_nlp.models.second_derivatives import Curvature, Hessian, Lifted
@@ -63,7 +62,7 @@ class ReducedEnergy:
         self._is_given_counted = False
         self._last: ContactPoint | None = None
         rel = self.relocation
-        self._rows = Block(rel.assembled.first.pattern, slice(None), slice(0, rel.parts.n_q))
+        self._rows = Block(rel.assembled.first.pattern, columns=slice(0, rel.parts.n_q))
         self._position_terms = element_values(rel.position_groups)
 
     @property
@@ -76,19 +75,10 @@ class ReducedEnergy:
         """The energy, and terms in the positions alone if there are any."""
         return self.relocation.objective
 
-    @cached_property
-    def validity(self) -> ElementConstraints:
-        """Element validity as a function of q."""
-        return ElementConstraints(self.relocation)
-
     def of_positions(self, q: Array) -> float:
         """The terms of the objective in the positions alone; NaN where they are not defined."""
         x = np.concatenate([q, np.zeros(self.relocation.unknowns.size - q.size)])
         return float(sum(values.sum() for values in self._position_terms(x)))
-
-    def is_defined(self, q: Array) -> bool:
-        """Whether the terms in the positions are; with a barrier no element is inverted or cut by its arc."""
-        return _has_upright(self.objective, self.relocation, q) and bool(np.isfinite(self.of_positions(q)))
 
     @property
     def start(self) -> ContactPoint:
@@ -146,15 +136,9 @@ class ReducedEnergy:
 
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
-        rel, slip = self.relocation, np.zeros(0)
-        if rel.parts.n_s:
-            slip = self.model.slips(rel.nodes(q), u, rel.parts.mesh_map.design(q))[rel.parts.friction_rows]
-        return rel.joined(q, u, np.abs(slip))
-
-
-def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool:
-    """Whether no element is inverted where a distortion in the objective needs that."""
-    return not objective.has_barrier or is_upright(relocation.parts.problem, relocation.nodes(q))
+        rel = self.relocation
+        slip = self.model.slips(rel.nodes(q), u, rel.parts.mesh_map.design(q))
+        return rel.joined(q, u, np.abs(slip[rel.parts.friction_rows]))
 
 
 class ReducedObjective:
@@ -172,10 +156,6 @@ class ReducedObjective:
         """The KKT conditions, in units of the contact solution on the mesh as given."""
         parts = self.energy.relocation.parts
         return KKTConditions(in_units_of(parts, self.objective, self.energy.start))
-
-    def is_defined(self, q: Array) -> bool:
-        """Whether a distortion in the objective is defined: no element is inverted."""
-        return _has_upright(self.objective, self.energy.relocation, q)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``."""

@@ -29,13 +29,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array, Index, magnitude, sparsity_of
-from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.second_derivatives import Lifted
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.problem.body import Body
 
 STIFF = 1 / np.sqrt(np.finfo(float).eps)
 """Size of the stiffness's diagonal in the units of w, relative to the block of the outer variables: multiples
@@ -94,9 +94,8 @@ class _First(PythonFunction):
     def eval(self, arg: list[ca.DM]) -> list[Any]:
         q, function, constraints = arg[0].full().ravel(), self._function, self._constraints
         rel, of_rows = function.energy.relocation, np.zeros((self._rows, q.size))
-        # the contact problem of a mesh with inverted elements has no meaning
-        upright = rel.n_valid + self._rows == 0 or is_upright(rel.parts.problem, rel.nodes(q))
-        if not (upright and function.is_defined(q)):  # Ipopt then takes a shorter step
+        # the contact problem of a mesh with inverted elements has no meaning: Ipopt takes a shorter step
+        if not Body(rel.parts.problem, rel.nodes(q)).is_upright():
             return [np.nan, np.full(q.size, np.nan), np.full(self._rows, np.nan), of_rows]
         point = function(q)
         rows = (np.zeros(0), of_rows) if constraints is None else constraints.at(point)
@@ -119,7 +118,7 @@ class _Second(PythonFunction):
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
         q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
         areas, own = np.split(lam_g, [self._energy.relocation.n_valid])
-        rows = self._energy.validity.hessian(q, areas) if areas.size else None
+        rows = self._energy.relocation.validity.hessian(q, areas) if areas.size else None
         return [ca.DM(self._upper, self._values(q, lam_f, rows, own).tolist())]
 
 

@@ -107,7 +107,7 @@ def released(
     """
     relocation, rows = energy.relocation, []
     if relocation.n_valid:  # a barrier may stand in the place of the rows
-        areas = energy.validity.at(q)
+        areas = relocation.validity.at(q)
         rows.append(replace(areas, slack=np.maximum(areas.slack, 0.0)))
     if constraints is not None:
         rows.append(constraints.linearised(energy(q)))

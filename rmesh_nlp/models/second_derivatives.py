@@ -108,7 +108,7 @@ class Curvature:
         held = np.append(rotated.normal[active.touching], rotated.tangent[rows[sticks]])
         follows = sp.vstack([gaps[active.touching], slips[sticks]])
         u, free = -(rotated.basis[:, held] @ follows), rotated.basis[:, rotated.factor(active).inside]
-        sliding = sp.diags_array(active.sliding[rows] * 1.0 if rows.size else np.zeros(0))
+        sliding = sp.diags_array(active.sliding[rows] * 1.0)
         force, half = system.stiffness @ u, u.T @ uq + (sliding @ (tangents @ u + slips)).T @ sq
         outer = qq + half + half.T + u.T @ force
         mixed = free.T @ (uq + force + tangents.T @ (sliding @ sq))

@@ -31,6 +31,11 @@ def revolution(x: Expression, y: Expression) -> Expression:
     return 2 * np.pi * x
 
 
+def entries(matrix: Expression) -> list[list[Expression]]:
+    """A matrix of CasADi row by row."""
+    return [ca.horzsplit(row) for row in ca.vertsplit(matrix)]
+
+
 class Law(ABC):
     """A linear material law; a law of your own derives from it, and needs no other change.
 
@@ -82,9 +87,9 @@ class Law(ABC):
         """Whether the energy depends on the place, or on more than the gradient."""
         return callable(self.measure) or self.takes_displacement
 
-    @abstractmethod
     def energy_density(self, gradient: Expression) -> Expression:
         """Energy per measure, a quadratic function of what :meth:`extended` makes of a gradient of CasADi."""
+        return 0.5 * self.energy_product(entries(gradient))
 
     @abstractmethod
     def stress(self, gradient: Any) -> list[list[Any]]:
@@ -164,10 +169,6 @@ class Laplace(Law):
         """The conductivity."""
         return self.conductivity
 
-    def energy_density(self, gradient: Expression) -> Expression:
-        """Half the conductivity times the square of the gradient."""
-        return 0.5 * self.conductivity * ca.sumsqr(gradient)
-
     def stress(self, gradient: Any) -> list[list[Any]]:
         """The flux, conductivity times grad u."""
         return [[self.conductivity * slope for slope in gradient[0]]]
@@ -243,11 +244,6 @@ class Elastic(Law):
         share = self.in_plane_lambda / (2 * (self.in_plane_lambda + self.lame_mu))
         return np.array([[1 - share, -share, 0], [-share, 1 - share, 0], [0, 0, 2]]) / (2 * self.lame_mu)
 
-    def energy_density(self, gradient: Expression) -> Expression:
-        """Half the stress times the strain."""
-        strain = (gradient + gradient.T) / 2
-        return 0.5 * self.in_plane_lambda * ca.trace(strain) ** 2 + self.lame_mu * ca.sumsqr(strain)
-
     def stress(self, gradient: Any) -> list[list[Any]]:
         """The stress in the plane."""
         trace = self.in_plane_lambda * (gradient[0][0] + gradient[1][1])
@@ -313,12 +309,6 @@ class Axisymmetric(PlaneStrain):
         if isinstance(gradient, np.ndarray):
             return np.concatenate([gradient, np.stack([hoop, 0 * hoop])[:, None]], axis=1)
         return ca.horzcat(gradient, ca.vertcat(hoop, 0))
-
-    def energy_density(self, gradient: Expression) -> Expression:
-        """Half the stress times the strain."""
-        plane, hoop = gradient[:, :2], gradient[0, 2]
-        rest = self.lame_lambda * ca.trace(plane) + (self.lame_lambda / 2 + self.lame_mu) * hoop
-        return super().energy_density(plane) + hoop * rest
 
     def stress(self, gradient: Any) -> list[list[Any]]:
         """The stress in the half-plane, and beside it the hoop stress; of a bare gradient without u_r / r."""

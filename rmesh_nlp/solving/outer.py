@@ -73,10 +73,6 @@ class Outer:
         """The same with another objective, and the estimated error of the energy if it is known."""
         return replace(self, objective=objective, gain=self.gain if gain is None else gain)
 
-    def on(self, problem: ContactProblem) -> Outer:
-        """The same objective by another rule, whose estimated error is taken over."""
-        return replace(Outer.of(problem, self.objective, self.tolerance), gain=self.gain)
-
     def near(self) -> Outer:
         """The same from a start that is likely to be close to a minimiser, with the models built so far.
 

@@ -16,7 +16,7 @@ from skfem import MeshTri
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.mapping.validity import area_ratios, is_upright, is_valid
+from rmesh_nlp.mapping.validity import area_ratios, is_valid
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
@@ -30,6 +30,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Relative,
 )
+from rmesh_nlp.problem.body import Body
 from support.designs import BOW, block
 from support.formulations import joint, nested
 
@@ -125,7 +126,7 @@ def squeezed(to: float) -> np.ndarray:
 def test_a_least_area_is_a_fraction_of_the_given_one(height: float, upright: bool, valid: bool) -> None:
     """With a barrier a positive area is enough."""
     given, nodes = problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)
-    assert is_upright(given, nodes) is upright
+    assert Body(given, nodes).is_upright() is upright
     assert is_valid(given, nodes) is valid
     assert is_valid(given, nodes, by_barrier=True) is upright
 
@@ -139,7 +140,7 @@ def test_an_element_that_its_arc_cuts_is_not_valid_whatever_its_area() -> None:
     for place, valid in ((1.5, True), (0.6, False)):
         nodes[:, far] = place
         assert area_ratios(problem, nodes)[0] > motion.min_area_fraction
-        assert is_valid(problem, nodes) is is_upright(problem, nodes) is valid
+        assert is_valid(problem, nodes) is Body(problem, nodes).is_upright() is valid
 
 
 @pytest.mark.parametrize("by_barrier", [False, True])

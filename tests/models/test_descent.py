@@ -171,7 +171,7 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     given = EXAMPLES["6.2"]((4, 2), 0.6)
     outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
     residual, q = outer.residual, np.zeros(outer.n)
-    rows = outer.energy.validity.at(q)
+    rows = outer.relocation.validity.at(q)
     # a gradient that multipliers of the elements explain as a whole
     pull = residual.unit * rows.jacobian.T @ np.ones(rows.slack.size)
     assert residual.at(q, np.asarray(pull)) == pytest.approx(room)
@@ -187,7 +187,7 @@ def test_an_element_beyond_its_least_area_has_no_slack_left() -> None:
     given = EXAMPLES["6.2"]((4, 2), 0.6)
     outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, outer.n)
-    assert np.min(outer.energy.validity.at(q).slack) < 0
+    assert np.min(outer.relocation.validity.at(q).slack) < 0
     assert np.min(released(outer.energy, q, np.zeros(outer.n)).slack) == 0
 
 

@@ -64,9 +64,7 @@ def test_contact_solve_has_the_gap_of_both_nodes(outer: Outer) -> None:
     assert np.min(gap) > -1e-12 * size
     np.testing.assert_allclose(gap[state.active.touching], 0, atol=1e-12 * size)
     assert 0 < np.sum(state.active.touching) < own.size
-    forces = system.normals.T @ state.normal_force
-    if system.slip_bound.size:
-        forces = forces + system.tangents.T @ state.tangential_force
+    forces = system.normals.T @ state.normal_force + system.tangents.T @ state.tangential_force
     residual = system.stiffness @ state.u - system.load - forces
     np.testing.assert_allclose(residual, 0, atol=1e-9 * system.force_scale)
 

@@ -17,7 +17,7 @@ from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models import second_derivatives
-from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.reduced_nlp import STIFF, reduced_nlp
 from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Motion, Obstacle, PlaneStress
@@ -213,7 +213,7 @@ def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles(
 @pytest.mark.parametrize("make", [large_limits, with_angles])
 def test_element_constraints_have_their_derivatives(make) -> None:
     rel, rng = relocation(make()), np.random.default_rng(2)
-    rows, (q, d) = ElementConstraints(rel), 0.2 * rng.uniform(-1, 1, (2, rel.parts.n_q))
+    rows, (q, d) = rel.validity, 0.2 * rng.uniform(-1, 1, (2, rel.parts.n_q))
     multipliers = rng.random(rel.n_valid)
     there, here, before = (rows.at(q + t * d) for t in (1.0, 0.0, -1.0))
     # the rows are quadratic: these differences are exact
@@ -261,7 +261,7 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
     larger, n, rng = reduced_nlp(function), function.relocation.parts.n_q, np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, larger.n_g)
     curvature = function.hessian(function(q))(np.eye(n))
-    areas = function.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
+    areas = function.relocation.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
     for factor in (1.5, 0.0):
         matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
         corner, expected = matrix[n:, n:], factor * curvature + areas

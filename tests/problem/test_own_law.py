@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import gradients, stresses
 from rmesh_nlp.problem import Law
@@ -33,9 +32,6 @@ class TwoConductivities(Law):
     def in_words(self, stress: str) -> str:
         return f"conductivities {self.x} and {self.y}"
 
-    def energy_density(self, gradient: Expression) -> Expression:
-        return 0.5 * (self.x * gradient[0] ** 2 + self.y * gradient[1] ** 2)
-
     def stress(self, gradient: Any) -> list[list[Any]]:
         return [[self.x * gradient[0][0], self.y * gradient[0][1]]]
 
@@ -51,9 +47,6 @@ class RoundMode(TwoConductivities):
         if isinstance(gradient, np.ndarray):
             return np.concatenate([gradient, around[None, None]], axis=1)
         return ca.horzcat(gradient, around)
-
-    def energy_density(self, gradient: Expression) -> Expression:
-        return 0.5 * ca.sumsqr(gradient)
 
     def stress(self, gradient: Any) -> list[list[Any]]:
         return [list(gradient[0])]

@@ -164,10 +164,11 @@ SYSTEM = ContactSystem(
     tangents=sp.csr_array(np.array([[0.0, 0.0, 1.0]])),
     offset=np.array([0.5]),
     slip_bound=np.array([4.0]),
+    frictional=np.ones(1, dtype=bool),
 )
 """The largest applied force, the unit of forces, is 8."""
 
-SMOOTH = replace(SYSTEM, slip_bound=np.zeros(0))
+SMOOTH = replace(SYSTEM, slip_bound=np.zeros(1), frictional=np.zeros(1, dtype=bool))
 
 
 def law(gap: float, force: float, slip: float = 0.0, friction: float = 0.0, system: Any = SYSTEM) -> float:
@@ -224,7 +225,7 @@ def test_a_body_at_rest_is_measured_too() -> None:
     """Nothing moves: without gap and force the laws hold, with a force of 8 across a gap they do not."""
     for gap, force, residual in ((0.0, 0.0, 0.0), (1e-6, 8.0, 1.0)):
         rest = replace(SMOOTH, offset=np.full(1, gap))
-        assert law_residual(rest, np.zeros(3), np.full(1, force), np.zeros(0)) == pytest.approx(residual)
+        assert law_residual(rest, np.zeros(3), np.full(1, force), np.zeros(1)) == pytest.approx(residual)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +236,7 @@ def test_a_body_at_rest_is_measured_too() -> None:
 def test_equilibrium_is_the_largest_force_out_of_balance(load, normal, friction, residual) -> None:
     """K u - F - N^T lambda - T^T tau by hand: (20 - F, 10 - lambda, 6 - tau) over F."""
     system = replace(SMOOTH if friction is None else SYSTEM, load=np.array([load, 0.0, 0.0]))
-    tau = np.zeros(0) if friction is None else np.array([friction])
+    tau = np.array([friction or 0.0])
     found = equilibrium_residual(system, np.array([2.0, 0.5, 0.2]), np.array([normal]), tau)
     assert found == pytest.approx(residual, abs=1e-15)
 

@@ -34,8 +34,7 @@ def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) ->
         model, weights = ContactSolver(problem), space.weights(np.asarray(problem.mesh.p))
         found, displacement = model.given, model.displacement.values(model.given.u)
         pressure[model.contact_nodes] = found.normal_force / weights
-        if found.tangential_force.size:
-            friction[model.contact_nodes] = found.tangential_force / weights
+        friction[model.contact_nodes] = found.tangential_force / weights
     return Guess(displacement, pressure, friction)
 
 
