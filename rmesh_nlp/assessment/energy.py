@@ -32,7 +32,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
         for elements, points in ((region[~curved], exact), (region[curved], None)):
 
             def integrand(which: Index, barycentric: Array, where: Array, law: Law = law) -> Array:
-                coordinates = gradients(body.at(which, barycentric)[1])[0]
+                coordinates = gradients(body.at(which, barycentric)[1])
                 gradient = np.einsum("avmk,vimk->aimk", slopes(space.order, barycentric), coordinates)
                 if not law.varies:
                     return _density(law, gradient).reshape(-1, *gradient.shape[2:])

@@ -31,7 +31,7 @@ PARTS = 0.5 ** np.arange(9)
 def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equilibrium:
     """Solve a system with Coulomb friction from an active set; CYCLED where no part of a step is a gain."""
     seen: set[bytes] = set()
-    laws, at, least, restarts = Laws(system), None, np.inf, 0
+    at, least, restarts = None, np.inf, 0
     for iteration in range(1, max_iterations + 1):
         state = replace(system.equilibrium(active), iterations=iteration)
         proposal, wrong = next_set(system, state, active)
@@ -42,18 +42,18 @@ def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equ
             proposal = holding(system, active, state, proposal)
             if proposal.key() in seen:
                 at = state
-                least, proposal = laws(at)
+                least, proposal = laws(system, at)
         else:
             for part in PARTS:
                 trial = between(at, state, part)
-                residual, proposal = laws(trial)
+                residual, proposal = laws(system, trial)
                 if residual < least:
                     break
             else:
                 if restarts == PATIENCE:
                     return replace(state, status=Status.CYCLED)
                 restarts, trial = restarts + 1, state
-                residual, proposal = laws(state)
+                residual, proposal = laws(system, state)
             at, least = trial, residual
         active = holding(system, active, state, proposal)
     return replace(state, status=Status.ITERATION_LIMIT)
@@ -68,22 +68,18 @@ def between(start: Equilibrium, end: Equilibrium, part: float) -> Equilibrium:
     return replace(start, **changed)
 
 
-class Laws:
-    """The laws of contact and friction as equations of displacement and forces, c the stiffness of a node."""
+def laws(system: ContactSystem, state: Equilibrium) -> tuple[float, ActiveSet]:
+    """The laws of contact and friction as equations of displacement and forces, c the stiffness of a node.
 
-    def __init__(self, system: ContactSystem) -> None:
-        self._system, self._slips = system, system.rotated.slips
-        self._c = abs(system.normals) @ system.stiffness.diagonal()
-
-    def __call__(self, state: Equilibrium) -> tuple[float, ActiveSet]:
-        """The sum of squares of the residuals over c, and the active set of the next linear system."""
-        system, c = self._system, self._c
-        normal = state.normal_force - c * (system.normals @ state.u + system.offset)
-        tangential = state.tangential_force - c * (system.tangents @ state.u)
-        bound = system.bound(normal)
-        pressure = state.normal_force - np.maximum(normal, 0.0)
-        friction = state.tangential_force - np.clip(tangential, -bound, bound)
-        touching, sticks = normal > 0, (np.abs(tangential) <= bound) & (bound > 0)
-        sliding = np.where(sticks, 0, np.where(tangential > 0, -1, 1)).astype(np.int8)
-        residual = float(np.sum((pressure**2 + np.where(self._slips, friction, 0.0) ** 2) / c))
-        return residual, ActiveSet(touching, sliding)
+    The sum of squares of their residuals over c, and the active set of the next linear system.
+    """
+    c = abs(system.normals) @ system.stiffness.diagonal()
+    normal = state.normal_force - c * (system.normals @ state.u + system.offset)
+    tangential = state.tangential_force - c * (system.tangents @ state.u)
+    bound = system.bound(normal)
+    pressure = state.normal_force - np.maximum(normal, 0.0)
+    friction = state.tangential_force - np.clip(tangential, -bound, bound)
+    touching, sticks = normal > 0, (np.abs(tangential) <= bound) & (bound > 0)
+    sliding = np.where(sticks, 0, np.where(tangential > 0, -1, 1)).astype(np.int8)
+    residual = float(np.sum((pressure**2 + np.where(system.rotated.slips, friction, 0.0) ** 2) / c))
+    return residual, ActiveSet(touching, sliding)

@@ -73,7 +73,7 @@ def setup_warnings(
     """
     problem, space, state = model.problem, model.discretisation.space, state or model.given
     nodes = problem.mesh.p if nodes is None else nodes
-    displacement, points = model.displacement.values(state.u), space.points_of(Body(problem, nodes))
+    displacement, points = model.displacement.values(state.u), space.points_on_body(nodes)
     u = space.values(displacement)
     extent = largest_side(nodes[:, np.unique(problem.mesh.t)])
     scale = extent if problem.components == 2 else max(magnitude(u), 1e-300)

@@ -94,7 +94,7 @@ class ContactSolver:
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.space.contact_nodes
         on = Fields(parts.space, parts.vertices.positions, parts.displacement, parts.slip)
-        self._elastic = _AtZero(parts, [*strain(on), *gaps(on)], self.n_u, quadratic=True)
+        self._elastic = _AtZero(parts, [*strain(on), *gaps(on)], self.n_u)
         self._loads = _AtZero(parts, loads(on, problem.rule), self.n_u)
         self._friction = _AtZero(parts, friction(on), parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
@@ -107,13 +107,12 @@ class ContactSolver:
     def system(self, nodes: Array, design: Array | None = None) -> ContactSystem:
         """The quadratic program at vertex positions (2, vertices) and a design, by default the first one."""
         given, at = self.discretisation.vertices.values(nodes, design), self._named(design)
-        value, (pull, offset, hessian) = self._elastic(given)
-        work, (push,) = self._loads(given)
+        (value, pull, offset), (work, push, _) = self._elastic(given), self._loads(given)
         normals, tangents = self.normals, self.tangents
         if self._curved:
             normals, tangents, _ = contact_rows(self.discretisation, nodes, at)
         return ContactSystem(
-            stiffness=self._elastic.matrix(hessian),
+            stiffness=self._elastic.hessian(given),
             load=-pull - push,
             constant=value + work,
             normals=normals,
@@ -142,8 +141,8 @@ class ContactSolver:
     def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
         """Strain energy and friction energy of a displacement at vertex positions."""
         given = self.discretisation.vertices.values(nodes)
-        value, (pull, _, hessian) = self._elastic(given)
-        strain = 0.5 * float(u @ (self._elastic.matrix(hessian) @ u)) + float(pull @ u) + value
+        value, pull, _ = self._elastic(given)
+        strain = 0.5 * float(u @ (self._elastic.hessian(given) @ u)) + float(pull @ u) + value
         return strain, float(self._slip_bound(given) @ np.abs(self.slips(nodes, u)))
 
     def slips(self, nodes: Array, u: Array, design: Array | None = None) -> Array:
@@ -163,34 +162,27 @@ class ContactSolver:
         """(gaps,) the largest friction forces."""
         bound = np.zeros(self.contact_nodes.size)
         # the friction energy is linear in the slips: its gradient is their bounds
-        bound[self.discretisation.friction_rows] = self._friction(given)[1][0]
+        bound[self.discretisation.friction_rows] = self._friction(given)[1]
         return bound
 
 
 class _AtZero:
-    """A sum over elements as a function of the vertex positions, its unknowns zero: value and gradient.
+    """A sum over elements as a function of the vertex positions, its unknowns zero."""
 
-    With ``quadratic`` also its rows and the nonzeros of its Hessian, which ``matrix`` makes one of.
-    """
-
-    def __init__(
-        self,
-        parts: Discretisation,
-        groups: Sequence[ElementGroup],
-        n: int,
-        *,
-        quadratic: bool = False,
-    ) -> None:
+    def __init__(self, parts: Discretisation, groups: Sequence[ElementGroup], n: int) -> None:
         self._sums = Assembled(groups, ca.MX.sym("x", n), parts.vertices.symbol, parts.n_contact)
         self._zero, self._no_forces = np.zeros(n), np.zeros(parts.n_contact)
-        self._quadratic = quadratic
-        if quadratic:
-            self.matrix = Symmetric(self._sums.second.pattern)
 
-    def __call__(self, given: Array) -> tuple[float, list[Array]]:
-        """The value, and all else."""
+    def __call__(self, given: Array) -> tuple[float, Array, Array]:
+        """Value, gradient and rows."""
         value, gradient, rows, _ = self._sums.first(self._zero, given)
-        if not self._quadratic:
-            return float(value[0]), [gradient]
-        (hessian,) = self._sums.second(self._zero, given, np.ones(1), self._no_forces)
-        return float(value[0]), [gradient, rows, hessian]
+        return float(value[0]), gradient, rows
+
+    @cached_property
+    def _matrix(self) -> Symmetric:
+        return Symmetric(self._sums.second.pattern)
+
+    def hessian(self, given: Array) -> sp.csc_array:
+        """The Hessian of the value."""
+        (values,) = self._sums.second(self._zero, given, np.ones(1), self._no_forces)
+        return self._matrix(values)

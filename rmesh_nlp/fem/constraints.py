@@ -19,7 +19,7 @@ from rmesh_nlp.evaluation import Array, largest_side
 from rmesh_nlp.fem.contact_terms import given_gaps
 from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional, as_row
-from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objective_text import called, parse_objective
 from rmesh_nlp.fem.pressure import LARGEST, contact_on, vertex_groups
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import is_number
@@ -40,8 +40,8 @@ class ConstraintRows:
     nodal : tuple of ElementGroup
         All others, numbered after those.
     lower, upper, unit : (rows,) arrays
-    names : tuple of str
-        The constraint of each row.
+    places : tuple of slice
+        Rows of each constraint of the problem.
     """
 
     values: tuple[Functional, ...]
@@ -49,7 +49,7 @@ class ConstraintRows:
     lower: Array
     upper: Array
     unit: Array
-    names: tuple[str, ...]
+    places: tuple[slice, ...]
 
     @property
     def size(self) -> int:
@@ -72,27 +72,25 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
     """The rows of constraints on these fields; a ValueError where one does not suit the problem."""
     values: list[Functional] = []
     nodal: list[ElementGroup] = []
-    limits, names = [], []
-    at_nodes = [constraint for constraint in constraints if boundary_of(constraint) is not None]
-    for constraint in constraints:
-        if boundary_of(constraint) is None:
-            unit = _unit(constraint)
-            values.append(parse_objective(constraint.value).on(fields).scaled(1 / unit))
-            limits.append((constraint.bounds[0] / unit, constraint.bounds[1] / unit, unit))
-            names.append(str(constraint.value))
-    for constraint in at_nodes:
-        groups, size, unit = _pressure_rows(
-            fields, str(boundary_of(constraint)), constraint.bounds[1], len(limits)
-        )
-        nodal += groups
-        limits += [(-np.inf, 0.0, unit)] * size
-        names += [str(constraint.value)] * size
+    limits, places = list[tuple[float, ...]](), dict[int, slice]()
+    boundaries = dict(enumerate(map(boundary_of, constraints)))
+    for number in sorted(boundaries, key=lambda number: boundaries[number] is not None):
+        (lower, upper), begin, boundary = constraints[number].bounds, len(limits), boundaries[number]
+        if boundary is None:
+            unit = _unit(constraints[number])
+            values.append(parse_objective(constraints[number].value).on(fields).scaled(1 / unit))
+            limits.append((lower / unit, upper / unit, unit))
+        else:
+            groups, size, unit = _pressure_rows(fields, boundary, upper, begin)
+            nodal += groups
+            limits += [(-np.inf, 0.0, unit)] * size
+        places[number] = slice(begin, len(limits))
     groups, first, unit = _given_gaps(fields, len(limits))
     nodal += groups
     limits += [(min(MARGIN, gap / unit), np.inf, unit) for gap in first]
-    names += ["gap where the displacement is given"] * first.size
-    lower, upper, units = np.array(limits).reshape(-1, 3).T
-    return ConstraintRows(tuple(values), tuple(nodal), lower, upper, units, tuple(names))
+    low, high, units = np.array(limits).reshape(-1, 3).T
+    each = tuple(places[number] for number in boundaries)
+    return ConstraintRows(tuple(values), tuple(nodal), low, high, units, each)
 
 
 def checked(constraint: Constraint) -> Constraint:
@@ -122,12 +120,12 @@ def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], Array, 
 
 def boundary_of(constraint: Constraint) -> str | None:
     """The boundary of a constraint on the largest pressure; None for every other."""
-    word, bracket, rest = str(constraint.value).partition("(")
-    if word.strip() != LARGEST or not bracket:
+    kind, arguments = called(str(constraint.value))
+    if kind != LARGEST:
         return None
     if constraint.bounds[0] > -np.inf:
         raise BadInputError(f"{constraint.value}: the largest pressure may be bounded from above alone")
-    return rest.removesuffix(")").strip()
+    return arguments[0]
 
 
 def _unit(constraint: Constraint) -> float:

@@ -13,7 +13,6 @@ there that of a pressure which continues from the nodes beside it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -21,9 +20,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, Mask, largest_side
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, largest_side
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.meshes.geometry import lengths
+from rmesh_nlp.problem.coefficients import Coefficient, at, once
 from rmesh_nlp.problem.data import ContactSet
 
 BEYOND = (0.0, 0.0736, 0.2735, 0.567, 0.8828, 1.2), (-1.0, -0.5, 0.0, 0.5, 1.0, 0.5)
@@ -41,6 +40,10 @@ class End(NamedTuple):
 
     vertices: list[int]
     nodes: Index
+
+    def force(self, space: DisplacementSpace) -> ca.Function:
+        """See :func:`force_at_end`."""
+        return force_at_end(space.order, len(self.vertices), self.nodes.size, space.problem.measure)
 
 
 @lru_cache(maxsize=8)  # it does not depend on where the nodes are
@@ -65,21 +68,18 @@ def ends(space: DisplacementSpace, number: int) -> tuple[End, ...]:
     return tuple(found)
 
 
-def force_at_end(order: int, length: Sequence[Expression], force: Sequence[Expression]) -> Expression:
-    """The contact force at a shared vertex; a pressure is not to be negative.
+@once
+def force_at_end(order: int, vertices: int, nodes: int, measure: Coefficient) -> ca.Function:
+    """``(X, forces) -> force`` of the contact at a shared vertex; a pressure is not to be negative.
 
-    The slope of the stress continues linearly too, but between zero and that of the two nodes next to the
-    vertex: a pressure that levels off does not overshoot.
-
-    Parameters
-    ----------
-    order : int
-    length : sequence
-        Of up to four edges from there on.
-    force : sequence
-        Of up to three contact nodes beside it, as in :class:`End`.
+    ``X`` (2, vertices) and ``forces`` (nodes,) are those of an :class:`End`. The slope of the stress
+    continues linearly too, but between zero and that of the two nodes next to the vertex: a pressure that
+    levels off does not overshoot.
     """
-    h, n = (*length, 0, 0, 0, 0), range(len(force))
+    X, forces, n = ca.SX.sym("X", 2, vertices), ca.SX.sym("forces", nodes), range(nodes)
+    h = (*(ca.norm_2(X[:, k + 1] - X[:, k]) for k in range(vertices - 1)), 0, 0, 0, 0)
+    places = ca.horzsplit(X[:, 1:] if order == 1 else (X[:, 1:] + X[:, :-1]) / 2)
+    force = [forces[k] / at(measure, *ca.vertsplit(places[k])) for k in n]
     if order == 1:
         size, first = [(h[k] + h[k + 1]) / 2 for k in n], (h[0] + h[1]) / 3
         apart = [(h[k] + h[k + 1] + h[k + 2]) / 3 for k in n]
@@ -89,7 +89,9 @@ def force_at_end(order: int, length: Sequence[Expression], force: Sequence[Expre
     stress = [force[k] / size[k] for k in n]
     slopes = [(stress[k] - stress[k + 1]) / apart[k] for k in n[:-1]] or [0.0]
     last = ca.fmin(2 * slopes[0] - slopes[-1], ca.fmax(slopes[0], 0))
-    return h[0] / (1 + order) * (stress[0] + first * ca.fmax(last, ca.fmin(slopes[0], 0)))
+    shared = h[0] / (1 + order) * (stress[0] + first * ca.fmax(last, ca.fmin(slopes[0], 0)))
+    shared *= at(measure, *ca.vertsplit(X[:, 0] + (X[:, 1] - X[:, 0]) / (2 + order)))
+    return ca.Function("force_at_end", [X, forces], [shared])
 
 
 def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps: Array) -> list[Array]:
@@ -103,13 +105,8 @@ def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps:
         if force.size:
             forces[part.nodes] = force[part.rows]
             for end in ends(space, part.number):
-                first, second = end.vertices[:2]
-                along = lengths(X, np.stack([end.vertices[:-1], end.vertices[1:]])).tolist()
-                per_measure = forces[end.nodes] / space.problem.measured(space.points(X)[:, end.nodes])
-                shared = float(force_at_end(space.order, along, per_measure.tolist()))
-                middle = X[:, first] + (X[:, second] - X[:, first]) / (2 + space.order)
-                shared *= float(space.problem.measured(middle))
-                forces[first] += shared if number else max(shared, 0.0)
+                shared = float(end.force(space)(X[:, end.vertices], forces[end.nodes]))
+                forces[end.vertices[0]] += shared if number else max(shared, 0.0)
         result.append(forces)
     return result
 

@@ -87,15 +87,15 @@ def load_of(text: str, problem: ContactProblem) -> Traction:
     BadInputError
         If it is another quantity, not linear in the displacement, or depends on the normal.
     """
-    kind, _, rest = text.strip().partition("(")
-    boundary, *expressions = _split(rest[:-1], ",")
-    if kind not in ("boundary", "mean") or len(expressions) != 1 or not rest.endswith(")"):
+    kind, arguments = called(text)
+    if kind not in ("boundary", "mean") or len(arguments) != 2:
         raise BadInputError(
             f"{text!r} has no bounds: mean, boundary, pressure and resultants of contact boundaries have"
         )
+    boundary, expression = arguments
     x, y, u = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("u", problem.components)
     try:
-        value = ca.SX(_density(text, expressions[0], {})(x, y, u))
+        value = ca.SX(_density(text, expression, {})(x, y, u))
         length = boundary_length(problem, boundary)
     except ValueError as error:
         raise BadInputError(str(error)) from error
@@ -105,6 +105,12 @@ def load_of(text: str, problem: ContactProblem) -> Traction:
         raise BadInputError(f"{text!r} has no bounds: it is not linear in the displacement")
     parts = (ca.Function("load", [x, y], [ca.densify(part)]) for part in ca.vertsplit(load))
     return Traction(boundary, tuple(parts))
+
+
+def called(text: str) -> tuple[str, list[str]]:
+    """The word before a bracket and the arguments in it; no word of a text of another form."""
+    kind, _, rest = text.partition("(")
+    return (kind.strip(), _split(rest[:-1], ",")) if rest.rstrip().endswith(")") else ("", [])
 
 
 def _weighted(part: str, whole: str) -> Objective:
@@ -126,9 +132,9 @@ def _weighted(part: str, whole: str) -> Objective:
 def _term(text: str, whole: str) -> Objective:
     if text in TERMS:
         return TERMS[text].alone
-    kind, bracket, rest = text.partition("(")
-    if bracket and rest.endswith(")") and kind.strip() in QUANTITIES:
-        return _quantity(kind.strip(), rest[:-1], text)
+    kind, arguments = called(text)
+    if kind in QUANTITIES:
+        return _quantity(kind, arguments, text)
     choices = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
     raise BadInputError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(choices)}")
 
@@ -209,9 +215,9 @@ NUMBERS = ("X", "Y", "P", "[K]")
 """Which of these are numbers."""
 
 
-def _quantity(kind: str, inside: str, text: str) -> Objective:
+def _quantity(kind: str, arguments: list[str], text: str) -> Objective:
     form, make = QUANTITIES[kind]
-    words, arguments = form.split(", "), _split(inside, ",")
+    words = form.split(", ")
     needed = [word for word in words if not word.startswith("[")]
     if not (len(needed) <= len(arguments) <= len(words) and all(arguments)):
         raise BadInputError(f"{text}: expected {kind}({form})")

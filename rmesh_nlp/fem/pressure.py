@@ -19,14 +19,14 @@ import numpy as np
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression, Index
 from rmesh_nlp.fem.cells import Straight
-from rmesh_nlp.fem.contact_pressure import ends, force_at_end, may_slip
+from rmesh_nlp.fem.contact_pressure import ends, may_slip
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Field, Fields, Forces
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.problem.coefficients import OPEN, at
+from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
 
@@ -123,7 +123,11 @@ def contact_length(boundary: str, reference: float, *, name: str = "contact leng
     name : str
     """
     _check_reference(name, reference)
-    return _sum(name, boundary, lambda share, force: share * force**2 / (force**2 + (reference * share) ** 2))
+
+    def value(share: Expression, force: Expression) -> Expression:
+        return share * force**2 / (force**2 + (reference * share) ** 2)
+
+    return Term(name, lambda on: vertex_groups(on, boundary, value)).alone
 
 
 def peak_pressure(
@@ -174,25 +178,13 @@ def _integral(
     for end in ends(on.space, part.number):
         X = ca.SX.sym("X", 2, len(end.vertices))
         columns = [ca.SX.sym("lambda", end.nodes.size) for _ in fields]
-        along = [ca.norm_2(X[:, k + 1] - X[:, k]) for k in range(len(end.vertices) - 1)]
-        middle = (X[:, 1:] + X[:, :-1]) / 2
-        places = ca.horzsplit(X[:, 1:] if on.space.order == 1 else middle)[: end.nodes.size]
-        beside = [
-            function(*values) / at(on.problem.measure, *ca.vertsplit(place))
-            for place, *values in zip(places, *map(ca.vertsplit, columns), strict=True)
-        ]
-        shared = force_at_end(on.space.order, along, beside)
-        first = X[:, 0] + (X[:, 1] - X[:, 0]) / (2 + on.space.order)
-        shared *= at(on.problem.measure, *ca.vertsplit(first))
+        beside = (function(*values) for values in zip(*map(ca.vertsplit, columns), strict=True))
+        shared = end.force(on.space)(X, ca.vertcat(*beside))
         shared = ca.fmax(shared, 0) if len(fields) == 1 else shared
         at_end = ca.Function("force_at_end", [ca.vec(X), *columns], [shared, NO_ROWS])
         local = [field.at(end.nodes[:, None]) for field in fields]
         groups.append(on.group(at_end, [on.positions.at(np.array(end.vertices)[:, None]), *local]))
     return groups
-
-
-def _sum(name: str, boundary: str, value: Callable[[Expression, Expression], Expression]) -> Objective:
-    return Term(name, lambda on: vertex_groups(on, boundary, value)).alone
 
 
 def vertex_groups(

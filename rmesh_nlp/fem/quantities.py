@@ -25,7 +25,7 @@ from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.fem.fit import fit, fit_file
 from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.objective import Groups, Objective, Term
+from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.pressure import (
     contact_length,
     largest_pressure,
@@ -58,11 +58,6 @@ __all__ = [
 ]
 
 
-def _quantity(name: str) -> Callable[[Groups], Objective]:
-    """Makes an objective of the element groups of one term."""
-    return lambda groups: Term(name, groups).alone
-
-
 def _integral(
     on: Fields, name: str, cells: Index, degree: int, density: Density, factor: float = 1.0
 ) -> list[ElementGroup]:
@@ -92,14 +87,13 @@ def body_integral(
         Of the quadrature.
     """
 
-    @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
         triangles = on.problem.triangles
         if subdomain is not None:
             triangles = triangles[:, members_of("subdomain", subdomain, on.problem.mesh.subdomains)]
         return _integral(on, name, triangles, degree, density)
 
-    return quantity
+    return Term(name, quantity).alone
 
 
 def boundary_integral(
@@ -125,12 +119,11 @@ def boundary_integral(
         Of the quadrature.
     """
 
-    @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
         factor = 1 / boundary_length(on.problem, boundary) if mean else 1.0
         return _integral(on, name, outward_edges(on.problem, boundary), degree, density, factor)
 
-    return quantity
+    return Term(name, quantity).alone
 
 
 def nodal(
@@ -153,7 +146,6 @@ def nodal(
     """
     chosen = np.asarray(nodes, dtype=np.int64).reshape(-1, 1)
 
-    @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
         n = on.problem.n_vertices
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
@@ -162,7 +154,7 @@ def nodal(
         value = at_nodes.function("quantity", _scalar(function(at_nodes.X, at_nodes.u), name))
         return [on.group(value, [on.positions.at(chosen), on.displacement.at(chosen)])]
 
-    return quantity
+    return Term(name, quantity).alone
 
 
 def at_point(
@@ -187,20 +179,18 @@ def at_point(
         When it meets a mesh without a node there.
     """
 
-    @_quantity(name)
     def quantity(on: Fields) -> Functional:
         with located(name):
             node = node_at(on.problem.mesh, point)
         at_node = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
         return at_node.on(on)
 
-    return quantity
+    return Term(name, quantity).alone
 
 
 def of_design(value: ca.SX, *, name: str = "design") -> Objective:
     """An expression of the symbols of design variables alone."""
 
-    @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
         design = on.positions.design
         rest = substituted(value, on.problem.numbers if design is None else {})
@@ -213,7 +203,7 @@ def of_design(value: ca.SX, *, name: str = "design") -> Objective:
         function = ca.Function("of_design", [symbols], [rest, NO_ROWS])
         return [on.group(function, [local])]
 
-    return quantity
+    return Term(name, quantity).alone
 
 
 def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Objective:

@@ -19,7 +19,6 @@ import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.interpolation_error import errors
-from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.vectorised import CHUNK
@@ -80,7 +79,7 @@ def recovered(space: DisplacementSpace, nodes: Array, coefficients: Array) -> tu
 
     ``nodes`` (2, vertices) are positions, ``coefficients`` (components, nodes) the displacement.
     """
-    regions, points, values = [], points_of(space, nodes), space.values(coefficients)
+    regions, points, values = [], space.points_on_body(nodes), space.values(coefficients)
     for law, elements in space.problem.regions:
         used, flat = np.unique(space.problem.triangles[:, elements], return_inverse=True)
         at_nodes, own = np.unique(space.elements[:, elements], return_inverse=True)

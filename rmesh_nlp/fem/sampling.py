@@ -13,23 +13,9 @@ from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import SIDES, functions, to_coefficients
-from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem.body import Body
 
 ALONG = {2: 1, 3: 8}
 """Straight pieces in which an edge is drawn, by the number of its nodes."""
-
-
-def points_of(space: DisplacementSpace, X: Array) -> Array:
-    """(2, nodes) where the nodes are on the body with its vertices at X (2, vertices).
-
-    Middles of edges on curves are on the curve, unlike those of :meth:`DisplacementSpace.points`.
-    """
-    points = np.array(space.points(X))
-    for arcs in Body(space.problem, X).arcs:
-        for middle in space.nodes_of(space.problem.mesh.facets[:, arcs.facets])[2:]:
-            points[:, middle] = arcs.at(np.arange(middle.size), np.full((middle.size, 1), 0.5))[0][..., 0]
-    return points
 
 
 class Cut(NamedTuple):

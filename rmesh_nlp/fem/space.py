@@ -117,10 +117,13 @@ class DisplacementSpace:
         a, b = self.problem.mesh.facets
         return np.hstack([X, (X[:, a] + X[:, b]) / 2])
 
-    def points_of(self, body: Body) -> Array:
-        """(2, nodes) where the nodes are on a body: at the middles of arcs in the place of chords."""
-        points = np.array(self.points(body.nodes))
-        for arcs in body.arcs if self.order == 2 else ():
+    def points_on_body(self, X: Array) -> Array:
+        """(2, nodes) where the nodes are on the body with its vertices at X (2, vertices).
+
+        Middles of edges on curves are on the curve, unlike those of :meth:`points`.
+        """
+        points = np.array(self.points(X))
+        for arcs in Body(self.problem, X).arcs if self.order == 2 else ():
             middle = np.full((arcs.facets.size, 1), 0.5)
             points[:, self.n_vertices + arcs.facets] = arcs.at(np.arange(middle.size), middle)[0][..., 0]
         return points
@@ -164,7 +167,7 @@ class DisplacementSpace:
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
         if problem.components == 2:
             held[0] = np.all(problem.on_axis[problem.mesh.facets], axis=0)
-        middles = self.points_of(Body(problem, problem.mesh.p))[:, self.n_vertices :]
+        middles = self.points_on_body(problem.mesh.p)[:, self.n_vertices :]
         for support in problem.supports:
             facets = members_of("boundary", support.boundary, problem.mesh.boundaries)
             ends, middle = problem.mesh.facets[:, facets], middles[:, facets]

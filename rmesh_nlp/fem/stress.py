@@ -8,7 +8,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import functions, slopes
-from rmesh_nlp.fem.sampling import pieces, points_of
+from rmesh_nlp.fem.sampling import pieces
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem import ContactProblem, Law
@@ -22,9 +22,9 @@ def gradients(problem: ContactProblem, X: Array, displacement: Array, shares: Ar
     """Displacement gradient (components, 2, elements, ...) at barycentric coordinates (3, ...)."""
     space = DisplacementSpace(problem)
     # the linear fields that have the slopes of positions and displacement there
-    x, u = _local(space, (points_of(space, X), displacement), slopes(space.order, shares))
+    x, u = _local(space, (space.points_on_body(X), displacement), slopes(space.order, shares))
     with np.errstate(divide="ignore", invalid="ignore"):  # an invalid mesh is written too
-        return np.einsum("cv...,vj...->cj...", u, of_shares(x)[0])
+        return np.einsum("cv...,vj...->cj...", u, of_shares(x))
 
 
 def _local(space: DisplacementSpace, fields: Sequence[Array], values: Array) -> list[Array]:
@@ -67,7 +67,7 @@ def _extended(
     """Of each region its law, its elements, and at barycentric coordinates what stresses depend on, and x."""
     gradient, space = gradients(problem, X, displacement, shares), DisplacementSpace(problem)
     values = functions(space.order, shares)[:, None]
-    x, u = _local(space, (points_of(space, X), displacement), values)
+    x, u = _local(space, (space.points_on_body(X), displacement), values)
     for law, own in problem.regions:
         yield law, own, law.extended(gradient[:, :, own], u[:, 0, own], x[:, 0, own]), x[:, 0, own]
 

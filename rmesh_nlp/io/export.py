@@ -14,7 +14,6 @@ from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import expect, located
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.folder import write_text, write_whole
@@ -196,10 +195,10 @@ class Series:
                 unknowns, active = state.u, state.active
             u = space.values(model.displacement.values(unknowns))
             file = self._file(step, name)
-            points = points_of(space, nodes)
+            points = space.points_on_body(nodes)
             fields = {
                 "displacement": u[0] if u.shape[0] == 1 else three(u),
-                "motion": three(points - points_of(space, self.problem.mesh.p)),
+                "motion": three(points - space.points_on_body(self.problem.mesh.p)),
             }
             write_whole(folder / file, file_mesh(points, space.elements, fields).write)
             entries.append(f'    <DataSet timestep="{step.iteration}" file={quoteattr(file)}/>')
@@ -219,7 +218,7 @@ class Series:
 
 def node_table(solution: Solution) -> pd.DataFrame:
     """The fields of the nodes as a pandas table, one row per node, vectors by component."""
-    x, y = points_of(DisplacementSpace(solution.problem), solution.mesh.p)
+    x, y = DisplacementSpace(solution.problem).points_on_body(solution.mesh.p)
     return _table({"x": x, "y": y, **point_data(solution)})
 
 

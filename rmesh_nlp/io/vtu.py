@@ -14,7 +14,6 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.evaluation import Array, Index, is_finite
 from rmesh_nlp.fem.contact_pressure import contact_stresses
-from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.mapping import MeshMap
@@ -51,7 +50,7 @@ def state_of(
 ) -> MeshState:
     """The state of a problem with its vertices at X (2, vertices), from values at the nodes."""
     space = DisplacementSpace(problem)
-    nodes = points_of(space, X)
+    nodes = space.points_on_body(X)
     pressure, tangential = np.array(pressure), np.array(tangential_stress)
     bound, gap, feet = np.zeros(space.n_nodes), np.full(space.n_nodes, np.nan), dict[str, Array]()
     for part in space.contact_sets:

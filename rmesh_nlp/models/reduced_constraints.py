@@ -31,23 +31,17 @@ class ReducedConstraints:
 
     def values(self, point: ContactPoint) -> list[tuple[str, float, float, float]]:
         """Text, value, lower and upper bound of each constraint of the problem, in its own units."""
-        parts, names = self._conditions.program.parts, np.array(self.rows.names)
-        reached, _ = self.at(point)
+        parts, (reached, _) = self._conditions.program.parts, self.at(point)
         design = parts.mesh_map.design(point.q).tolist()
-        named = dict(zip(parts.problem.start, design, strict=True))
-        values, used = [], dict.fromkeys(self.rows.names, 0)
-        for constraint in parts.problem.constraints:
-            text, lower, upper = str(constraint.value), constraint.bounds[0], constraint.bounds[1]
+        named, values = dict(zip(parts.problem.start, design, strict=True)), []
+        for constraint, rows in zip(parts.problem.constraints, self.rows.places, strict=True):
+            lower, upper = constraint.bounds
             upper = float(upper if is_number(upper) else at_design(upper, named))
-            boundary, rows = boundary_of(constraint), np.flatnonzero(names == text)[used[text] :]
-            if boundary is None:
-                value = (reached * self.rows.unit)[rows[0]]
-                used[text] += 1
-            else:
+            each = (reached * self.rows.unit)[rows]
+            if (boundary := boundary_of(constraint)) is not None:
                 part, nodes = contact_on(parts.space, boundary), parts.mesh_map.positions.values(point.q)
-                pressures = vertex_pressures(parts.space, nodes, part, point.equilibrium.normal_force)
-                value, used[text] = np.max(pressures), used[text] + pressures.size
-            values.append((text, float(value), lower, upper))
+                each = vertex_pressures(parts.space, nodes, part, point.equilibrium.normal_force)
+            values.append((str(constraint.value), float(np.max(each)), lower, upper))
         return values
 
     def violation(self, point: ContactPoint) -> float:

@@ -168,12 +168,12 @@ def determinants(slopes: Array) -> Array:
     return cross(edge_1, edge_2)
 
 
-def gradients(slopes: Array) -> tuple[Array, Array]:
-    """Gradients (3, 2, m, k) of the barycentric coordinates, and the determinants (m, k)."""
+def gradients(slopes: Array) -> Array:
+    """Gradients (3, 2, m, k) of the barycentric coordinates, from the slopes of :meth:`Body.at`."""
     det = determinants(slopes)
     edge_1, edge_2 = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
     second, third = np.stack([edge_2[1], -edge_2[0]]) / det, np.stack([-edge_1[1], edge_1[0]]) / det
-    return np.stack([-second - third, second, third]), det
+    return np.stack([-second - third, second, third])
 
 
 class Edges:

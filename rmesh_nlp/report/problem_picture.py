@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from rmesh_nlp.evaluation import ROUNDING
-from rmesh_nlp.fem.sampling import along, points_of
+from rmesh_nlp.fem.sampling import along
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.vtu import state_of
 from rmesh_nlp.mapping import MeshMap, Mobility
@@ -37,7 +37,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
     mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace(problem)
-    nodes, cells = points_of(space, mesh.p), space.elements
+    nodes, cells = space.points_on_body(mesh.p), space.elements
     # with middles of edges foundations are seen to be curved
     finer = replace(problem.placed(dict.fromkeys(problem.tools, (0.0, 0.0))), order=2)
     fine = DisplacementSpace(finer)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
-from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
+from rmesh_nlp.fem.sampling import along, edges_of, pieces, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.meshes.curves import fitted_circle
@@ -52,12 +52,12 @@ def plot(
 
         _, axes = pyplot.subplots(layout="constrained")
     space, scalar, units = DisplacementSpace(problem), problem.components == 1, problem.units
-    nodes, cells = points_of(space, X), space.elements
+    nodes, cells = space.points_on_body(X), space.elements
     length, stress = bracketed(units.length), bracketed("" if scalar else units.stress)
     title = "flux" if scalar and what == "stress" else what
     if what == "mesh":
         if np.any(problem.mesh.p != X):
-            given = points_of(space, problem.mesh.p)
+            given = space.points_on_body(problem.mesh.p)
             draw_mesh(axes, given, cells, color="0.85", linewidth=0.6)
         draw_mesh(axes, nodes, cells, **{"color": "0.2", "linewidth": 0.7, **style})
     elif what == "stress":

@@ -14,7 +14,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
+from rmesh_nlp.fem.sampling import along, edges_of, pieces, sampled
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.meshes.curves import Circle
@@ -92,7 +92,7 @@ def polynomial(order: int, x: np.ndarray) -> np.ndarray:
 @ORDERS
 def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(order: int) -> None:
     space = space_of(EXAMPLES["6.1"](3), order)
-    nodes, cells = points_of(space, space.problem.mesh.p), space.elements
+    nodes, cells = space.points_on_body(space.problem.mesh.p), space.elements
     cut = pieces(cells)
     points = sampled(cells, nodes, cut.shares)
     values = sampled(cells, polynomial(order, nodes), cut.shares)
@@ -107,7 +107,7 @@ def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(order: int) -> 
 @ORDERS
 def test_edges_are_those_of_the_mesh_with_their_middles(order: int) -> None:
     space = space_of(EXAMPLES["6.3"]((4, 2)), order)
-    mesh, nodes = space.problem.mesh, points_of(space, space.problem.mesh.p)
+    mesh, nodes = space.problem.mesh, space.points_on_body(space.problem.mesh.p)
     for edges, facets in (
         (edges_of(space.elements), np.arange(mesh.facets.shape[1])),
         (edges_of(space.elements, outer=True), mesh.boundary_facets()),
@@ -125,7 +125,7 @@ def test_edges_are_those_of_the_mesh_with_their_middles(order: int) -> None:
 def test_middles_of_edges_on_a_curve_are_on_it() -> None:
     space = space_of(plate({"hole": HOLE}), 2)
     mesh = space.problem.mesh
-    nodes = points_of(space, np.asarray(mesh.p))
+    nodes = space.points_on_body(np.asarray(mesh.p))
     assert isinstance(HOLE, Circle)
     on_hole = space.nodes_of(mesh.facets[:, mesh.boundaries["hole"]])
     np.testing.assert_allclose(np.linalg.norm(nodes[:, on_hole] - 5.0, axis=0), 2.5, rtol=1e-12)
@@ -215,7 +215,7 @@ def test_stresses_of_a_linear_displacement_obey_hookes_law_in_space(law, order) 
     young, poisson = 200.0, 0.3
     problem = rm.ContactProblem(mesh, law.from_young(young, poisson), ("left",), order=order)
     gradient = np.array([[0.01, 0.004], [-0.002, 0.006]])
-    points = points_of(DisplacementSpace(problem), mesh.p)
+    points = DisplacementSpace(problem).points_on_body(mesh.p)
     xx, yy, xy, zz = stresses(problem, mesh.p, gradient @ points)
     # strains from stresses by Hooke's law in space: another form than the one under test
     strain = (gradient + gradient.T) / 2
@@ -233,7 +233,7 @@ def test_the_flux_of_a_quadratic_displacement_is_linear(curved) -> None:
     curves = {"hole": HOLE} if curved else {}
     problem = replace(plate(curves), law=rm.Laplace(), dirichlet=("left",), tractions=(), order=2)
     X, shares = problem.mesh.p, np.array([[0.2, 0.7], [0.5, 0.0], [0.3, 0.3]])
-    x, y = points_of(DisplacementSpace(problem), X)
+    x, y = DisplacementSpace(problem).points_on_body(X)
     straight = np.ones(problem.triangles.shape[1], dtype=bool)
     if curved:  # on blended triangles of linear displacements alone
         straight[problem.mesh.f2t[0, problem.mesh.boundaries["hole"]]] = False
