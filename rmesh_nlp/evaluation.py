@@ -48,6 +48,11 @@ def is_finite(values: ArrayLike) -> bool:
         return False
 
 
+def is_pair(values: ArrayLike) -> bool:
+    """Whether it is two finite numbers."""
+    return is_finite(values) and np.shape(values) == (2,)
+
+
 def largest_side(points: Array) -> float:
     """Largest side of their bounding box."""
     return float(np.max(np.ptp(points, axis=1)))

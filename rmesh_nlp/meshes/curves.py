@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, require
-from rmesh_nlp.evaluation import Array, is_finite, magnitude, slope_of
+from rmesh_nlp.evaluation import Array, is_finite, is_pair, magnitude, slope_of
 from rmesh_nlp.meshes.geometry import lines_of, members_of
 from rmesh_nlp.settings import Number
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
@@ -60,11 +60,11 @@ class Curve(ABC):
 
     def at(self, t: Array) -> Array:
         """Points (2, n) at parameters (n,)."""
-        return np.stack([on_values(function, t) for function in self.functions])
+        return _values(self.functions, t)
 
     def velocity(self, t: Array) -> Array:
         """Derivatives (2, n) by the parameter."""
-        return np.stack([on_values(function, t) for function in self._first])
+        return _values(self._first, t)
 
     def nearest(self, points: Array) -> Array:
         """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
@@ -75,9 +75,8 @@ class Curve(ABC):
         for _ in range(20):
             off = self.at(t) - points
             velocity = self.velocity(t)
-            second = np.stack([on_values(function, t) for function in self._second])
             slope, square = np.sum(off * velocity, axis=0), np.sum(velocity**2, axis=0)
-            curvature = square + np.sum(off * second, axis=0)
+            curvature = square + np.sum(off * _values(self._second, t), axis=0)
             move = -slope / np.where(curvature > 0.1 * square, curvature, square)
             move = np.clip(move, -step, step)
             t = t + move if self.closed else np.clip(t + move, low, high)
@@ -104,6 +103,10 @@ def on_values(function: ca.Function, t: Array) -> Array:
     return function(ca.DM(t).T).full().ravel()
 
 
+def _values(functions: Pair, t: Array) -> Array:
+    return np.stack([on_values(function, t) for function in functions])
+
+
 def _slopes(functions: Pair) -> Pair:
     return slope_of(functions[0]), slope_of(functions[1])
 
@@ -116,8 +119,7 @@ class Circle(Curve):
     radius: float
 
     def __post_init__(self) -> None:
-        is_place = is_finite(self.centre) and np.shape(self.centre) == (2,)
-        require(is_place, "centre", "be two finite numbers", self.centre)
+        require(is_pair(self.centre), "centre", "be two finite numbers", self.centre)
         Number().check("radius", self.radius)
 
     interval = (-np.pi, np.pi)
@@ -205,7 +207,7 @@ class Parametrised(Curve):
     def __post_init__(self) -> None:
         for name, function in (("x", self.x), ("y", self.y)):
             require(callable(function), name, "be a function of t", function)
-        if not is_finite(self.interval) or np.shape(self.interval) != (2,) or not np.diff(self.interval) > 0:
+        if not (is_pair(self.interval) and np.diff(self.interval) > 0):
             raise BadInputError(
                 f"the interval of a curve must increase and be finite, got {self.interval}", "interval"
             )

@@ -14,7 +14,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, require
-from rmesh_nlp.evaluation import Array, is_finite
+from rmesh_nlp.evaluation import Array, is_finite, is_pair
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.settings import Number, check_positive
@@ -52,8 +52,7 @@ def rectangle(
     for name, n in (("nx", nx), ("ny", ny)):
         Number(least=1).check(name, n)
     for name, ends in (("x", x), ("y", y)):
-        is_interval = is_finite(ends) and np.shape(ends) == (2,) and ends[0] < ends[1]
-        require(is_interval, name, "be two increasing numbers", ends)
+        require(is_pair(ends) and ends[0] < ends[1], name, "be two increasing numbers", ends)
     _affordable(2 * nx * ny)
     require(diagonal in DIAGONALS, "diagonal", f"be one of {', '.join(DIAGONALS)}", diagonal)
     nodes = np.stack(np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1), indexing="ij"), axis=-1)
@@ -84,7 +83,7 @@ def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
     check_positive(h=h, size=size)
     s = size
     points = [(0, 0), (s, 0), (s, s), (-s, s), (-s, -s), (0, -s)]
-    return _polygon(points, h, {"corner": [0, 5], "outer": [1, 2, 3, 4]})
+    return polygon(points, h, {"corner": [0, 5], "outer": [1, 2, 3, 4]})
 
 
 def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> MeshTri:
@@ -158,7 +157,7 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     if not 0 <= rise < height:
         raise BadInputError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
     points = [(0, rise), (width / 2, 0), (width, rise), (width, height), (0, height)]
-    return _polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
+    return polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
 
 
 def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | None = None) -> MeshTri:
@@ -186,7 +185,8 @@ def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | No
                 raise BadInputError(
                     f"the boundary {name!r} names edge {edge}; edges run to {len(points) - 1}"
                 )
-    return _polygon(points, h, names)
+    _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
+    return _drawn([[(point, h, None) for point in points]], names)
 
 
 def _crossing_edges(p: Array) -> list[int]:
@@ -199,11 +199,6 @@ def _crossing_edges(p: Array) -> list[int]:
 
     apart = side(a) * side(b) < 0
     return np.argwhere(apart & apart.T)[:1].ravel().tolist()
-
-
-def _polygon(points: list[Point], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
-    _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
-    return _drawn([[(point, h, None) for point in points]], boundaries)
 
 
 def _drawn(loops: list[list[Vertex]], boundaries: dict[str, list[int]]) -> MeshTri:

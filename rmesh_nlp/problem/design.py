@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError, require
-from rmesh_nlp.evaluation import Expression, is_finite
+from rmesh_nlp.evaluation import Expression, is_finite, is_pair
 from rmesh_nlp.expressions import FUNCTIONS
 from rmesh_nlp.problem.coefficients import POSITION, Coefficient, PositionFunction, at, once
 from rmesh_nlp.problem.conditions import as_tuple
@@ -129,7 +129,7 @@ def _check(variable: DesignVariable | Shape) -> None:
     name, start, bounds = variable.name, variable.start, variable.bounds
     if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
         raise BadInputError(f"a design variable needs a name of its own such as 'h0', got {name!r}", "name")
-    if not is_finite(bounds) or np.shape(bounds) != (2,) or not bounds[0] < bounds[1]:
+    if not (is_pair(bounds) and bounds[0] < bounds[1]):
         said = np.array(bounds).tolist()
         raise BadInputError(f"the bounds of {name!r} must be finite and increase, got {said}", "bounds")
     object.__setattr__(variable, "bounds", tuple(bounds))

@@ -11,7 +11,7 @@ import numpy as np
 
 from rmesh_nlp.display import describe, figure
 from rmesh_nlp.errors import BadInputError, require
-from rmesh_nlp.evaluation import Array, Expression, is_finite
+from rmesh_nlp.evaluation import Array, Expression, is_finite, is_pair
 from rmesh_nlp.problem.coefficients import (
     OPEN,
     POSITION,
@@ -125,7 +125,7 @@ class Obstacle:
         for name in ("force", "displacement"):
             if (given := getattr(self, name)) is None:
                 continue
-            require(np.shape(given) == (2,) and is_finite(given), name, "be two finite numbers", given)
+            require(is_pair(given), name, "be two finite numbers", given)
             object.__setattr__(self, name, tuple(map(float, given)))
             if len(self.normal) == 1 or self.boundary is Place.INTERIOR:
                 raise BadInputError("a tool needs a problem with two displacement components", name)

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.errors import require
-from rmesh_nlp.evaluation import Expression, is_finite
+from rmesh_nlp.evaluation import Expression, is_pair
 from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, PositionFunction, at
 
 Vector = tuple[float, float]
@@ -17,8 +17,7 @@ Centre = tuple[float | ca.SX, float | ca.SX]
 
 def unit(normal: Vector) -> Vector:
     """The vector of length 1 in a direction; a BadInputError if it is none."""
-    is_direction = np.shape(normal) == (2,) and is_finite(normal) and np.any(normal)
-    require(is_direction, "normal", "be a non-zero vector", normal)
+    require(is_pair(normal) and np.any(normal), "normal", "be a non-zero vector", normal)
     length = float(np.hypot(*normal))
     return normal[0] / length, normal[1] / length
 

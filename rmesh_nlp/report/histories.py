@@ -34,7 +34,7 @@ def curve(result: Result) -> pd.DataFrame | None:
     ``feasible`` steps meet their constraints. None without a history of the value.
     """
     record, steps = result.record, result.steps()
-    value = steps["energy" if _is_energy(record) else "objective"]
+    value = steps["energy" if objective_of(record) == "energy" else "objective"]
     if not relocates(record) or not value.notna().any():
         return None
     # a clock too coarse for the unit: no cost is known
@@ -103,12 +103,7 @@ def _costs(results: Sequence[Result]) -> list[Record]:
 def _to_audited(record: Record) -> float:
     """From an energy of the problem's own rule, which histories have, to the audited one."""
     own, audited = record.get("energy"), record.get("energy_audited")
-    return 0.0 if not _is_energy(record) or own is None or audited is None else audited - own
-
-
-def _is_energy(record: Record) -> bool:
-    """Whether the energy was asked for, alone or with a distortion."""
-    return objective_of(record) == "energy"
+    return 0.0 if objective_of(record) != "energy" or own is None or audited is None else audited - own
 
 
 def _first(values: pd.Series, where: pd.Series, otherwise: float) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cache
 from importlib.metadata import version
 from typing import Any
@@ -35,7 +35,6 @@ from rmesh_nlp.solving.entry import (
     of_energies,
     of_seconds,
 )
-from rmesh_nlp.solving.parts import plain
 from rmesh_nlp.solving.relocated import Relocated
 
 
@@ -371,17 +370,3 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
 
 ENTRIES = {entry.name: entry for section in SECTIONS.values() for entry in section}
 """All entries by their names."""
-
-
-def record(solution: Relocated) -> Values:
-    """The entries that a solution has a value of, as plain JSON values. NaN becomes None."""
-    terms, seconds = solution.error_terms
-    trace = replace(solution.trace, audit_time_s=solution.trace.audit_time_s + seconds)
-    timed = replace(solution, trace=trace)
-    values = {name: entry.value(timed) for name, entry in ENTRIES.items() if entry.of is not None}
-    written = {
-        name: value
-        for name, value in values.items()
-        if value is not None or ENTRIES[name].presence is not KNOWN
-    }
-    return plain({**written, **terms, **solution.details, **solution.assessment.first_order.label})

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from rmesh_nlp.display import Rows, Shown
-from rmesh_nlp.solving.entries import record
+from rmesh_nlp.settings import Values
+from rmesh_nlp.solving.entries import ENTRIES
+from rmesh_nlp.solving.entry import KNOWN
+from rmesh_nlp.solving.parts import plain
 from rmesh_nlp.solving.relocated import Relocated
 from rmesh_nlp.solving.summary import summary
 
@@ -18,9 +21,18 @@ if TYPE_CHECKING:
 class Solution(Relocated, Shown):
     """A relocated mesh with its contact solution, as it was assessed, and how it was found."""
 
-    def record(self) -> dict[str, Any]:
-        """The entries of :mod:`rmesh_nlp.solving.entries` as plain JSON values. NaN becomes None."""
-        return record(self)
+    def record(self) -> Values:
+        """The entries of :mod:`rmesh_nlp.solving.entries` that it has, as plain JSON values. NaN is None."""
+        terms, seconds = self.error_terms
+        trace = replace(self.trace, audit_time_s=self.trace.audit_time_s + seconds)
+        timed = replace(self, trace=trace)
+        values = {name: entry.value(timed) for name, entry in ENTRIES.items() if entry.of is not None}
+        written = {
+            name: value
+            for name, value in values.items()
+            if value is not None or ENTRIES[name].presence is not KNOWN
+        }
+        return plain({**written, **terms, **self.details, **self.assessment.first_order.label})
 
     def plot(self, what: str = "mesh", axes: Axes | None = None, **style: Any) -> Axes:
         """Draw a field of the solution on the relocated mesh.
