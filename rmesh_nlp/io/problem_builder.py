@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.io.problem_messages import outwards
 from rmesh_nlp.io.problem_schema import FOUNDATIONS, CurveTable, ProblemTable, StepTable
 from rmesh_nlp.io.problem_values import SYMMETRY
-from rmesh_nlp.meshes import MeshRepairWarning, named
+from rmesh_nlp.meshes.arrays import named, repaired
 from rmesh_nlp.meshes.curves import Curve, fitted
 from rmesh_nlp.meshes.geometry import node_at
 from rmesh_nlp.problem import (
@@ -134,7 +133,7 @@ def _mesh(table: ProblemTable) -> MeshTri:
                         said = (
                             f"the subdomain {name!r} ends inside {cut} triangles, off the lines of the mesh"
                         )
-                        warnings.warn(said, MeshRepairWarning, stacklevel=2)
+                        repaired(said)
                 elif name in inside:  # edges of which both ends and the middle are on it
                     of = mesh.facets[:, holds(np.hstack([cells, middle])).all(axis=0)].T
                 mesh = named(mesh, **{kind: {name: of}})

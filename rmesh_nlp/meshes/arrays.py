@@ -57,13 +57,13 @@ def from_arrays(
     )
     used = np.unique(t)
     if used.size < p.shape[1]:
-        _warn(f"dropped {p.shape[1] - used.size} nodes that belong to no triangle")
+        repaired(f"dropped {p.shape[1] - used.size} nodes that belong to no triangle")
         new = np.full(p.shape[1], -1)
         new[used] = np.arange(used.size)
         p, t, number = p[:, used], new[t], new[number]
     areas = signed_areas(p, t)
     if np.any(areas < 0):
-        _warn(f"turned {np.sum(areas < 0)} clockwise triangles")
+        repaired(f"turned {np.sum(areas < 0)} clockwise triangles")
         t = counter_clockwise(p, t)
     mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
     if wrong := fault(mesh):
@@ -109,7 +109,7 @@ def _without_duplicates(p: NDArray, t: Index, apart: list[list[Any]]) -> tuple[N
     merged = np.unique(number)
     if merged.size < p.shape[1]:
         if np.any(np.isin(np.flatnonzero(number != np.arange(number.size)), t)):
-            _warn(f"merged {p.shape[1] - merged.size} duplicate nodes")
+            repaired(f"merged {p.shape[1] - merged.size} duplicate nodes")
         number = np.searchsorted(merged, number)
         p, t = p[:, merged], number[t]
     for triangle in np.flatnonzero((t[0] == t[1]) | (t[1] == t[2]) | (t[0] == t[2])):
@@ -163,5 +163,6 @@ def _chosen(corners: NDArray, predicate: Callable[[Any], Any], among: Index) -> 
     return np.asarray(among[np.broadcast_to(inside, among.shape)], dtype=np.int64)
 
 
-def _warn(message: str) -> None:
+def repaired(message: str) -> None:
+    """Tell of a repair."""
     warnings.warn(message, MeshRepairWarning, stacklevel=4)

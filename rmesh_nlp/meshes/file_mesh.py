@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import EllipsisType
@@ -14,7 +13,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index
-from rmesh_nlp.meshes.arrays import MeshRepairWarning, from_arrays
+from rmesh_nlp.meshes.arrays import from_arrays, repaired
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, lengths, sides
 
 TITLES = ("point", "boundary", "subdomain")
@@ -112,7 +111,7 @@ def triangulated(file: FileMesh, pairs: Collection[tuple[str, str]] = ()) -> Mes
     if useless := sorted(names - {*boundaries, *subdomains}):
         said.append(f"left out what names no edge or triangle: {', '.join(useless)}")
     if said:
-        warnings.warn("; ".join(said), MeshRepairWarning, stacklevel=4)
+        repaired("; ".join(said))
     return from_arrays(p, t[kept], boundaries, subdomains, pairs)
 
 

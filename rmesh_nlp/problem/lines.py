@@ -7,7 +7,6 @@ end of a part, or a point where a coefficient jumps.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -21,7 +20,7 @@ from skfem.models.poisson import laplace
 
 from rmesh_nlp.errors import ProblemError, contradicting
 from rmesh_nlp.evaluation import Array, Index, Mask, cross, largest_side
-from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.meshes.arrays import repaired
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import (
     EPSILON,
@@ -72,7 +71,7 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     if not np.any(moved):
         return mesh
     said = f"put {moved.sum()} nodes on the straight lines that they are on but for rounding, at most "
-    warnings.warn(f"{said}{np.max(off[moved]):.2g} away", MeshRepairWarning, stacklevel=2)
+    repaired(f"{said}{np.max(off[moved]):.2g} away")
     X, share = np.array(mesh.p), np.sum((mesh.p[:, node] - a) * (b - a), axis=0) / length**2
     X[:, node[moved]] = (a + share * (b - a))[:, moved]
     return replace(mesh, doflocs=X)

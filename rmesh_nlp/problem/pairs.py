@@ -7,7 +7,6 @@ nodes move. So a pair is an obstacle without a place of its own, whose gap depen
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -19,7 +18,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, largest_side
-from rmesh_nlp.meshes.arrays import MeshRepairWarning
+from rmesh_nlp.meshes.arrays import repaired
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
 from rmesh_nlp.meshes.interfaces import opened
@@ -71,7 +70,7 @@ def paired(
         p, far = np.array(mesh.p), np.max(np.abs(mesh.p[:, others] - mesh.p[:, nodes]))
         if far > ROUNDING * largest_side(p):
             said = f"put the nodes of {second!r} on those of {first!r}, at most {far:.2g} away"
-            warnings.warn(said, MeshRepairWarning, stacklevel=4)
+            repaired(said)
         p[:, others] = p[:, nodes]
         mesh = mesh if np.array_equal(p, mesh.p) else replace(mesh, doflocs=p)
         with contradicting(place):

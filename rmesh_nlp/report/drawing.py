@@ -21,7 +21,7 @@ from rmesh_nlp.fem.sampling import along, edges_of
 from rmesh_nlp.io.vtu import MeshState
 from rmesh_nlp.meshes.geometry import lines_of
 from rmesh_nlp.optimize.activity import ZERO
-from rmesh_nlp.problem.units import Units, bracketed
+from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.style import FOUNDATION, IN_CONTACT, Page, add_legend, new_figure, pen_of
 from rmesh_nlp.solving import plotting
 
@@ -195,7 +195,6 @@ def side_by_side(
     bodies: Sequence[DrawnBody],
     paint: Painter,
     page: Page,
-    units: Units,
     *,
     deformed: bool = False,
     label: str = "",
@@ -208,7 +207,7 @@ def side_by_side(
     """
     factor = magnification(bodies) if deformed else 0.0
     windows = [window(bodies, 1.0), window(bodies, factor)] if deformed else [window(bodies)]
-    figure, axes = page.panels(len(bodies), windows, units, below=0.85 if title else 0.75 if label else 0.45)
+    figure, axes = page.panels(len(bodies), windows, below=0.85 if title else 0.75 if label else 0.45)
     painted: list[Any] = []
     for column, body in zip(axes.T, bodies, strict=True):
         painted.append(paint(column[0], body))
@@ -229,19 +228,19 @@ def side_by_side(
     return figure
 
 
-def displacement_figure(bodies: Sequence[DrawnBody], page: Page, units: Units, *, deformed: bool) -> Figure:
+def displacement_figure(bodies: Sequence[DrawnBody], page: Page, *, deformed: bool) -> Figure:
     """The displacement of each body, if asked for over the deformed meshes."""
-    label = f"$|u|${bracketed(units.length)}" if bodies[0].elastic else "$u$"
+    label = f"$|u|${bracketed(page.units.length)}" if bodies[0].elastic else "$u$"
     paint = coloured(plotting.draw_nodal, lambda body: body.state.displacement)
-    return side_by_side(bodies, paint, page, units, deformed=deformed, label=label)
+    return side_by_side(bodies, paint, page, deformed=deformed, label=label)
 
 
-def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Figure | None:
+def contact_figure(bodies: Sequence[DrawnBody], page: Page) -> Figure | None:
     """Pressure along each contact boundary, with friction also the tangential stress and its bound.
 
     One panel for each; None if nothing is touched.
     """
-    unit = bracketed(units.stress) if bodies[0].elastic else ""
+    unit = bracketed(page.units.stress) if bodies[0].elastic else ""
     kinds = {"pressure": f"contact {'pressure' if bodies[0].elastic else 'stress'}{unit}"}
     if any(np.any(body.state.friction_bound > 0) for body in bodies):
         kinds["tangential_stress"] = f"tangential stress{unit}"
@@ -263,7 +262,7 @@ def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Fig
             ends = first.state.friction_bound, -first.state.friction_bound
             curves += [(first, values, bound, "friction bound ±g") for values in ends]
         points = first.nodes[:, np.concatenate(first.contacts[place].along)]
-        where, over = plotting.course(points, units.length)
+        where, over = plotting.course(points, page.units.length)
         for body, values, look, title in curves:
             lines = body.contacts[place].along
             plotting.draw_along(axis, body.nodes, lines, values, over, **look, label=title)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -58,18 +57,17 @@ def figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure
 def block_figures(block: Case, results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures of one block: grids, stresses, convergence and designs, beside the given grid."""
     first = block.records[0]
-    units, size = units_of(first), f"{block.example}-{first['n']}"
+    page, size = replace(page, units=units_of(first)), f"{block.example}-{first['n']}"
     stem = size if order_of(first) == 1 else f"{size}-order{order_of(first)}"
     given, moved = _bodies(results)
-    grids = partial(displacement_figure, page=page, units=units)
     for record, fields, body in moved:
         made = replace(body, title=f"{'design' if record.get('design') else 'relocated'} by {body.title}")
         key = str(record.get("key", stem)).removesuffix(f"-{record.get('regularisation')}")
-        yield f"{key}-grid", grids([*given, made], deformed=body.elastic)
+        yield f"{key}-grid", displacement_figure([*given, made], page, deformed=body.elastic)
         if fields.error_bound is not None and fields.error_bound_initial is not None:
             yield f"{key}-error", error_figure(fields, record, page)
     if given and not moved:
-        yield f"{stem}-grid", grids(given, deformed=given[0].elastic)
+        yield f"{stem}-grid", displacement_figure(given, page, deformed=given[0].elastic)
     stresses, progress = stress_figures(results, page), progress_figures(block, results, page)
     for objective, what, figure in (*stresses, *progress):
         asked = objective_of(block.objectives[objective][0])  # without the weight of a distortion
@@ -94,12 +92,12 @@ def _bodies(
 
 def stress_figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, str, Figure]]:
     """For each objective of a block it, "stress" and the figure of contact stresses, where there are any."""
+    page = replace(page, units=units_of(results[0].record)) if results else page
     given, moved = _bodies(results)
     for objective in dict.fromkeys(str(result.record["objective"]) for result in results):
         ends = [body for record, _, body in moved if record["objective"] == objective]
         bodies = [*given, *ends] if ends or not moved else []
-        units = units_of(results[0].record)
-        if bodies and (figure := contact_figure(bodies, page, units)) is not None:
+        if bodies and (figure := contact_figure(bodies, page)) is not None:
             yield objective, "stress", figure
 
 
@@ -152,4 +150,4 @@ def error_figure(fields: SolutionFields, record: Record, page: Page) -> Figure:
     paint = coloured(
         plotting.draw_elements, lambda body: np.maximum(densities[body.title], norm.vmin or 0), norm=norm
     )
-    return side_by_side(bodies, paint, page, units_of(record), label="error bound per root of area")
+    return side_by_side(bodies, paint, page, label="error bound per root of area")

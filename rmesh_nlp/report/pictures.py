@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from enum import Enum
 from typing import Any
 
@@ -15,7 +16,7 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.optimize.activity import ZERO
-from rmesh_nlp.problem.units import Units, bracketed, units_of
+from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.curves import estimates_figure
 from rmesh_nlp.report.drawing import (
     DrawnBody,
@@ -45,20 +46,20 @@ def pictures(result: Result, page: Page) -> Iterator[tuple[str, Figure]]:
     bodies = [last]
     if moved or is_design:
         bodies.insert(0, DrawnBody(before, fields.triangles, fields.given))
-    units, elastic = units_of(record), last.elastic
+    page, elastic = replace(page, units=units_of(record)), last.elastic
     is_loaded = any(np.any(body.state.displacement) for body in bodies)
-    yield "mesh", side_by_side(bodies, _paint_mesh, page, units, deformed=elastic and is_loaded)
+    yield "mesh", side_by_side(bodies, _paint_mesh, page, deformed=elastic and is_loaded)
     if is_loaded:
-        yield "displacement", displacement_figure(bodies, page, units, deformed=False)
+        yield "displacement", displacement_figure(bodies, page, deformed=False)
         paint = coloured(plotting.draw_elements, lambda body: body.state.stress)
-        label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
-        yield "stress" if elastic else "flux", side_by_side(bodies, paint, page, units, label=label)
-    if (contact := contact_figure(bodies, page, units)) is not None:
+        label = f"von Mises stress{bracketed(page.units.stress)}" if elastic else "|flux|"
+        yield "stress" if elastic else "flux", side_by_side(bodies, paint, page, label=label)
+    if (contact := contact_figure(bodies, page)) is not None:
         yield "pressure", contact
     if moved:
-        yield "motion", motion_figure(fields, last, f"motion from the {before}", page, units)
+        yield "motion", motion_figure(fields, last, f"motion from the {before}", page)
         if record["delta"] != [0, 0]:
-            yield "limits", limits_figure(fields, last, page, units)
+            yield "limits", limits_figure(fields, last, page)
     if (design := figure_of_designs([result], page)) is not None:
         yield "design", design
     if "meshes" in record:
@@ -95,7 +96,7 @@ def limits(fields: SolutionFields) -> NDArray[np.object_]:
     return result
 
 
-def limits_figure(fields: SolutionFields, body: DrawnBody, page: Page, units: Units) -> Figure:
+def limits_figure(fields: SolutionFields, body: DrawnBody, page: Page) -> Figure:
     """Every vertex with the colour of its limit."""
     kinds, fine = limits(fields), plotting.is_fine(body.triangles)
     vertices = np.isin(np.arange(kinds.size), fields.triangles[:3])
@@ -107,13 +108,13 @@ def limits_figure(fields: SolutionFields, body: DrawnBody, page: Page, units: Un
         looks = ((vertices & (kinds == limit), *limit.value) for limit in Limit)
         draw_nodes(axis, body.nodes, looks, s=size, linewidths=0, zorder=2, rasterized=fine)
 
-    figure = side_by_side([body], paint, page, units, title="what limits each node")
+    figure = side_by_side([body], paint, page, title="what limits each node")
     for handle in figure.legends[0].legend_handles:
         handle.set_sizes([14.0])  # type: ignore[union-attr]
     return figure
 
 
-def motion_figure(fields: SolutionFields, body: DrawnBody, title: str, page: Page, units: Units) -> Figure:
+def motion_figure(fields: SolutionFields, body: DrawnBody, title: str, page: Page) -> Figure:
     """The way of each vertex over the colours of its length."""
     begin, end = fields.given.nodes, fields.final.nodes
 
@@ -123,5 +124,5 @@ def motion_figure(fields: SolutionFields, body: DrawnBody, title: str, page: Pag
             draw_lines(axis, np.stack([begin, end], axis=2)[:, moved], color="white", linewidth=0.6)
         return plotting.draw_nodal(axis, end, body.triangles, end - begin, vmin=0.0)
 
-    label = f"motion{bracketed(units.length)}"
-    return side_by_side([body], paint, page, units, label=label, title=title)
+    label = f"motion{bracketed(page.units.length)}"
+    return side_by_side([body], paint, page, label=label, title=title)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, safe_name, write_whole
-from rmesh_nlp.problem.units import Units, bracketed
+from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed
 from rmesh_nlp.settings import Values
 
 LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
@@ -57,10 +57,11 @@ def pen_of(position: int) -> Values:
 
 @dataclass(frozen=True)
 class Page:
-    """One or two columns of a printed page, with letters of at least 7 points, and the format of figures."""
+    """One or two columns of a printed page, with letters of at least 7 points; format and units."""
 
     columns: int = 2
     kind: str = "png"
+    units: Units = NO_UNITS
 
     def __post_init__(self) -> None:
         if self.kind not in FORMATS:
@@ -81,9 +82,7 @@ class Page:
         """Matplotlib's settings."""
         return SETTINGS if self.columns == 2 else {**SETTINGS, **COLUMN}
 
-    def panels(
-        self, count: int, windows: Sequence[Array], units: Units, below: float = 0.0
-    ) -> tuple[Figure, NDArray]:
+    def panels(self, count: int, windows: Sequence[Array], below: float = 0.0) -> tuple[Figure, NDArray]:
         """A figure with ``count`` panels side by side for each window (2, 2), and its axes (windows, count).
 
         Axes are equal, and labelled with the unit of length; of a body of revolution they are r and z, with
@@ -98,12 +97,12 @@ class Page:
         axes: NDArray = figure.subplots(
             len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
-        axes, unit = axes.reshape(len(windows), count), bracketed(units.length)
+        axes, unit = axes.reshape(len(windows), count), bracketed(self.units.length)
         for axis, limits in zip(axes.ravel(), np.repeat(windows, count, axis=0), strict=True):
             axis.set(xlim=limits[0], ylim=limits[1], aspect="equal")
-            first, second = ("r", "z") if units.per else ("x_1", "x_2")
+            first, second = ("r", "z") if self.units.per else ("x_1", "x_2")
             axis.set(xlabel=f"${first}${unit}", ylabel=f"${second}${unit}")
-            if units.per:
+            if self.units.per:
                 axis.axvline(0.0, color="0.4", linewidth=0.8, linestyle="-.")
             axis.spines[:].set_visible(False)
             for one in (axis.xaxis, axis.yaxis):

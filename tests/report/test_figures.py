@@ -153,9 +153,9 @@ def state(friction: float, components: int = 2, upright: bool = False) -> MeshSt
 CELLS = np.array([[1, 2], [2, 0], [3, 3]])
 
 
-def stress_figure(curves: dict[str, MeshState], units: Units = Units()) -> Figure:  # noqa: B008
+def stress_figure(curves: dict[str, MeshState], page: Page = PAGE) -> Figure:
     """Contact stresses of states by name."""
-    figure = contact_figure([DrawnBody(name, CELLS, one) for name, one in curves.items()], PAGE, units)
+    figure = contact_figure([DrawnBody(name, CELLS, one) for name, one in curves.items()], page)
     assert figure is not None
     return figure
 
@@ -166,10 +166,10 @@ def test_contact_stress_is_drawn_along_the_boundary() -> None:
     for line in axis.lines:
         np.testing.assert_array_equal(line.get_xydata(), [[0, 0], [1, 10], [2, 20]])
     assert axis.get_xlabel() == "$x_1$ on low"
-    (axis,) = stress_figure({"a": state(0.0, upright=True)}, Units("m", "N")).axes
+    (axis,) = stress_figure({"a": state(0.0, upright=True)}, Page(units=Units("m", "N"))).axes
     np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [0, 1, 2])
     assert (axis.get_xlabel(), axis.get_ylabel()) == ("$x_2$ [m] on low", "contact pressure [N/m²]")
-    (axis,) = stress_figure({"a": state(0.0, components=1)}, Units("m", "N")).axes
+    (axis,) = stress_figure({"a": state(0.0, components=1)}, Page(units=Units("m", "N"))).axes
     assert axis.get_ylabel() == "contact stress"  # of a scalar problem it has no unit
 
 
@@ -247,7 +247,7 @@ def drawings(solution: Solution, folder: Path) -> Sequence[Axes]:
     meshes = next(figure for name, figure in pictures(result, PAGE) if name == "mesh")
     fields = read_vtu(result.vtu)
     bodies = [DrawnBody("it", fields.triangles, fields.final)]
-    grids = displacement_figure(bodies, PAGE, Units(), deformed=True)
+    grids = displacement_figure(bodies, PAGE, deformed=True)
     return [meshes.axes[1], grids.axes[1]]
 
 
@@ -294,7 +294,7 @@ def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, i
     ],
 )
 def test_panels_fill_the_width_of_the_page(columns, height, size) -> None:
-    figure, axes = Page(columns).panels(2, [np.array([[0.0, 1.0], [0.0, height]])], Units("mm"))
+    figure, axes = Page(columns, units=Units("mm")).panels(2, [np.array([[0.0, 1.0], [0.0, height]])])
     assert figure.get_size_inches() == pytest.approx(size)
     assert axes.shape == (1, 2)
     assert axes[0, 0].get_ylabel() == "$x_2$ [mm]"
@@ -303,7 +303,7 @@ def test_panels_fill_the_width_of_the_page(columns, height, size) -> None:
 
 
 def test_half_section_has_its_axis() -> None:
-    _, axes = Page(1).panels(1, [np.array([[-0.1, 1.0], [0.0, 1.0]])], Units("mm", "N", "revolution"))
+    _, axes = Page(1, units=Units("mm", "N", "revolution")).panels(1, [np.array([[-0.1, 1.0], [0.0, 1.0]])])
     assert (axes[0, 0].get_xlabel(), axes[0, 0].get_ylabel()) == ("$r$ [mm]", "$z$ [mm]")
     assert axes[0, 0].lines[0].get_xdata() == [0.0, 0.0]
     assert axes[0, 0].get_xlim() == (-0.1, 1.0)
