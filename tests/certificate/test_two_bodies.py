@@ -97,7 +97,6 @@ def test_bounds_hold_what_a_finer_mesh_finds(name: str, order: int) -> None:
     assert set(found.bounds) >= forces[name[:4]]
 
 
-@pytest.mark.slow
 @BOTH
 def test_uniform_pressure_through_blocks_is_proved_exactly(order: int) -> None:
     found = rm.certify(rm.solve(pressed(stacked(3), order=order), "fixed"))

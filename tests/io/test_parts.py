@@ -10,12 +10,11 @@ from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.space import DisplacementSpace
 
-pytestmark = pytest.mark.usefixtures("estimates_unasked")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("estimates_unasked")]
 
 PARTS = Path(__file__).parents[2] / "docs" / "parts"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "forces"),
     [
@@ -39,14 +38,12 @@ def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) ->
     assert {on: result.normal_force for on, result in found.items()} == pytest.approx(forces, rel=0.02)
 
 
-@pytest.mark.slow
 def test_the_pin_presses_on_its_lug_with_half_of_what_pulls_it() -> None:
     solution = rm.solve(rm.read_problem(PARTS / "lug.toml"), "fixed", audit=False)
     assert solution.contact["bore"]["force_x"] == pytest.approx(-1000, rel=1e-4)
     assert solution.contact["bore"]["peak_pressure"] == pytest.approx(104.65, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_the_crack_of_the_laminate_slides() -> None:
     contact = rm.solve(rm.read_problem(PARTS / "laminate.toml"), "fixed", audit=False).contact["crack"]
     assert contact["tangential_force"] == pytest.approx(-0.3 * contact["normal_force"], rel=1e-3)

@@ -41,16 +41,6 @@ from support.quality import shape_quality, sizes
 from support.reduced import reduced
 
 
-def free_square(n: int, shake: float = 0.0) -> ContactProblem:
-    """A square whose nodes move in both directions, those of its sides too."""
-    mesh = rectangle(n, n)
-    p = np.array(mesh.p)
-    inside = mesh.interior_nodes()
-    p[:, inside] += shake / n * np.random.default_rng(n).uniform(-1, 1, (2, inside.size))
-    motion = Motion(None, free=("left", "right", "bottom", "top"))
-    return ContactProblem(replace(mesh, doflocs=p), Laplace(1.0), ("left",), motion=motion)
-
-
 def linear(p: Array) -> Array:
     return np.array([[0.1, -0.05], [0.02, 0.2]]) @ p + np.array([[0.01], [-0.02]])
 

@@ -109,13 +109,11 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
         assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1), objective
 
 
-@pytest.mark.slow
 def test_certificate_is_refused_in_words() -> None:
     told = rm.solve(pressed(2, 0.5, 1), "fixed", certify=True).record()["certificate_remark"]
     assert "body of revolution" in told
 
 
-@pytest.mark.slow
 def test_laplace_of_revolution() -> None:
     law = rm.Laplace(-4.0, axisymmetric=True)  # u = r^2 - 4
     mesh = rm.shapes.rectangle(3, 2, x=(0.0, 2.0))

@@ -11,7 +11,7 @@ from gallery import design, free_boundary, kinks, mpcc_traps, of_file, signorini
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.problem_file import read_table
 
-pytestmark = pytest.mark.usefixtures("estimates_unasked")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("estimates_unasked")]
 
 FOLDER = Path(kinks.__file__).parent
 
@@ -23,7 +23,6 @@ def needs_gmsh() -> None:
         pytest.skip("gmsh is not installed")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["l_shape", "wedge", "free_boundary", "signorini"])
 def test_relocation_lowers_the_energy_by_both_formulations(name: str) -> None:
     if name == "l_shape":
@@ -41,7 +40,6 @@ def test_relocation_lowers_the_energy_by_both_formulations(name: str) -> None:
     assert nested == pytest.approx(joint, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_contact_of_a_disc_is_that_of_hertz() -> None:
     """p^2 is linear in x^2, and vanishes at the half-width a = sqrt(4 P R (1 - nu^2) / (pi E))."""
     needs_gmsh()
@@ -55,7 +53,6 @@ def test_contact_of_a_disc_is_that_of_hertz() -> None:
     assert pressure.max() == pytest.approx(2 * load / (np.pi * a), rel=0.05)
 
 
-@pytest.mark.slow
 def test_the_shaped_punch_has_a_lower_peak_by_both_formulations() -> None:
     punch, objective = of_file("punch", nx=4, ny=4), read_table(FOLDER / "punch.toml").solve.objective
     before, nested, mpcc = (
@@ -68,7 +65,6 @@ def test_the_shaped_punch_has_a_lower_peak_by_both_formulations() -> None:
     assert nested.final.pressure.max() < 0.9 * before.final.pressure.max()
 
 
-@pytest.mark.slow
 def test_a_slab_ends_where_a_node_is_about_to_slide(tmp_path: Path) -> None:
     solutions = kinks.main("slab", 6, tmp_path / "slab.png")
     assert all(solution.success for solution in solutions.values())
@@ -83,7 +79,6 @@ def test_a_slab_ends_where_a_node_is_about_to_slide(tmp_path: Path) -> None:
     assert (tmp_path / "slab.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
 def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink() -> None:
     solutions = kinks.main("seal", 4)
     best, nested = solutions["mpcc"], solutions["nested"]
@@ -106,7 +101,6 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink() -> Non
     assert again.record()["objective_value"] == pytest.approx(best.record()["objective_value"], rel=1e-6)
 
 
-@pytest.mark.slow
 def test_labels_tell_traps_from_minima() -> None:
     found = mpcc_traps.main()
     for name, (corner, _, solved) in found.items():
@@ -133,14 +127,12 @@ def designed(name: str, folder: Path, edge: str = "bottom") -> tuple[rm.Solution
     return best, pairs
 
 
-@pytest.mark.slow
 def test_the_face_of_the_punch_levels_its_pressure(tmp_path: Path) -> None:
     for flat, shaped in designed("level_punch", tmp_path)[1]:
         assert flat.final.pressure.max() > 2 * 10
         assert shaped.final.pressure.max() < 1.05 * 10
 
 
-@pytest.mark.slow
 def test_modulus_friction_and_gap_are_identified(tmp_path: Path) -> None:
     best, (pair, *_) = designed("identification", tmp_path, "top")
     assert best.design == pytest.approx({"E": 1.2, "F": 0.35, "g": 0.01}, rel=0.05)
@@ -148,7 +140,6 @@ def test_modulus_friction_and_gap_are_identified(tmp_path: Path) -> None:
     assert last < 0.01 * first
 
 
-@pytest.mark.slow
 def test_the_seal_spreads_its_closing_force(tmp_path: Path) -> None:
     found, pairs = designed("closing_force", tmp_path)
     for first, best in pairs:
@@ -157,7 +148,6 @@ def test_the_seal_spreads_its_closing_force(tmp_path: Path) -> None:
     assert found.design["lip"] > 9 * found.design["core"]  # a stiff lip on a soft core
 
 
-@pytest.mark.slow
 def test_relocation_under_coulomb_friction_lowers_the_error(tmp_path: Path) -> None:
     ends, errors = stick_slip.main(3, starts=2, picture=tmp_path / "it.png")
     for end in ends:
