@@ -40,10 +40,6 @@ print(after.status.value, before.energy, after.energy)
 rm.plot(before, after, what="stress")
 
 # %%
-
-rm.plot(before, after, what="pressure")
-
-# %%
 # One uniform refinement is the other way to a better solution. What does it give?
 
 from rmesh_nlp.problem import refined as finer
@@ -61,3 +57,10 @@ from pathlib import Path
 with tempfile.TemporaryDirectory() as folder:
     rm.write_solution(after, Path(folder) / "part.vtu")
     print([path.name for path in Path(folder).iterdir()])
+
+# %%
+# The picture, and the number: what the foundation carries, on the mesh as given, relocated and refined. They
+# agree to 3 %.
+
+rm.plot(before, after, what="pressure")
+print([round(one.contact["bottom"]["normal_force"], 3) for one in (before, after, refined)])

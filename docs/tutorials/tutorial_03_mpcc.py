@@ -40,3 +40,17 @@ print("best", best.f, "reached", *best.reached)
 program = rm.mpcc.bilevel({"x": x, "f": upper}, {"f": (y - x) ** 2 / 2, "lbx": 0, "ubx": 1}, variables=y)
 result = rm.solve_mpcc(program, 0.5)
 print(result.x, result.lower_level)
+
+# %%
+# The picture, and the number: what the leader minimises over x when the follower answers has its minimum at
+# x = 3, where it is 1, and kinks where the answer meets 0 and 1.
+
+import numpy as np
+from matplotlib import pyplot as plt
+
+leader = np.linspace(-1.0, 4.0, 200)
+figure, axes = plt.subplots()
+axes.plot(leader, (leader - 3) ** 2 + (np.clip(leader, 0, 1) - 2) ** 2)
+axes.plot(result.x[0], result.f, "o")
+axes.set(xlabel="x", ylabel="f")
+print(f"{result.f:.6f} at x = {float(result.x[0]):.6f}")

@@ -27,16 +27,19 @@ best = comparison.best
 print(best.formulation, best.energy_audited)
 
 # %%
-# The meshes before and after, and the solution on them.
+# The meshes before and after.
 
 rm.plot(comparison["fixed"], best, what="mesh")
-
-# %%
-
-rm.plot(comparison["fixed"], best, what="displacement")
 
 # %%
 # All descents are local. Random starts show how much another minimum gains.
 
 several = rm.solve(problem, "joint", starts=4)
 print(several.record()["start_energies"], "spread", several.record()["start_spread"])
+
+# %%
+# The picture, and the number: the audited energy of the best one. Extrapolated from refinements the least
+# energy is -1.9456.
+
+rm.plot(comparison["fixed"], best, what="displacement")
+print(f"{comparison['fixed'].energy_audited:.4f} -> {best.energy_audited:.4f}")
