@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,14 +34,6 @@ from rmesh_nlp.problem.data import ContactSet
 REPEATS = 12
 """Times that nodes are raised by what is missing, more than once where normals vary along an edge; and meshes
 on which triangles are cut all of whose nodes are held, where the foundation rises through them."""
-
-
-class _Reduced(NamedTuple):
-    """The program in the unknowns ``last`` (k,) that contact acts on, and all unknowns by these."""
-
-    program: ContactSystem
-    whole: Callable[[Array], Array]
-    last: Index
 
 
 @dataclass(frozen=True)
@@ -161,8 +152,11 @@ class Continuous:
         return True
 
     @cached_property
-    def _reduced(self) -> _Reduced:
-        """The program without stand-offs; the whole one where it has no fewer entries."""
+    def _reduced(self) -> tuple[ContactSystem, Callable[[Array], Array], Index]:
+        """The program without stand-offs in the unknowns of contact, all unknowns by these, and these.
+
+        The whole one where its factors have no more entries.
+        """
         bare, acted = self._bare, [self._bare.normals.indices, self._bare.tangents.indices]
         for cells in self.cells:
             acts = self.problem.frictional | np.any(cells.normals != 0, axis=(1, 2))
@@ -170,8 +164,8 @@ class Continuous:
         last = np.unique(numbers_of(acted))
         last = last[last >= 0]
         if (condensed := bare.condensed(last)) is None:
-            return _Reduced(bare, lambda u: u, np.arange(bare.load.size))
-        return _Reduced(*condensed, last)
+            return bare, lambda u: u, np.arange(bare.load.size)
+        return *condensed, last
 
     def solve(self, start: ActiveSet | None = None) -> Admissible:
         """The admissible displacement of least energy.
@@ -207,14 +201,13 @@ class Continuous:
 
         at_nodes = displacement(state.u)
         near = [
-            np.repeat(
-                (not cells.are_triangles) | cells.pressed(state.normal_force) | (cells.missing(at_nodes) > 0),
-                cells.shares.shape[1],
-            )
+            cells.only(cells.pressed(state.normal_force) | (cells.missing(at_nodes) > 0))
+            if cells.are_triangles
+            else cells
             for cells in self.cells
         ]
-        N = sp.vstack([self._rows(cells, cells.normals)[:, last] for cells in self.cells], "csr")
-        acts = (np.diff(N.indptr) > 0) & np.concatenate(near)
+        N = sp.vstack([self._rows(cells, cells.normals)[:, last] for cells in near], "csr")
+        acts = np.diff(N.indptr) > 0
         rubbing = [cells for cells in self.cells if cells.contact.obstacle.friction_law.has_given]
         T = sp.vstack([N[:0], *(self._rows(cells, cells.tangents)[:, last] for cells in rubbing)], "csr")
         bounds = (
@@ -226,7 +219,7 @@ class Continuous:
 
         def offset(x: Array) -> Array:
             u = displacement(x)
-            gaps = [cells.distance + cells.along(self.given) - cells.dips(u) for cells in self.cells]
+            gaps = [cells.distance + cells.along(self.given) - cells.dips(u) for cells in near]
             return np.concatenate([gap.ravel() for gap in gaps])[acts]
 
         rows = N[acts], T[rubs], bound[rubs]
@@ -292,18 +285,11 @@ class Continuous:
         value, doubt = np.sum([np.sum(each, axis=1) for each in parts], axis=0) if parts else (0.0, 0.0)
         return float(value), float(doubt)
 
-    def given_along(self, cells: Cells) -> Array:
-        """(nodes,) given displacement along the normal of the foundation of some cells."""
-        normals = cells.contact.obstacle.normals(self.space.points(self.body.nodes))
-        return np.sum(normals * cells.contact.relative(self.given)[:, : self.space.n_nodes], axis=0)
-
     def first_standoff(self) -> Array:
-        """(gaps,) how far nodes keep off by the height of the foundations without displacement."""
-        heights = []
-        for cells in self.cells:
-            off, size = cells.off(self.given_along(cells)), magnitude(cells.distance)
-            heights.append(np.where(off > PROVED * size, off, 0.0))
-        return self._raised(heights)
+        """(gaps,) how far nodes keep off by what is missing where their gaps are closed."""
+        own = self._raising
+        closing = own.T @ (-self._bare.offset / own.power(2).sum(axis=1))
+        return self._missing(self.field.values(closing))
 
     def _missing(self, displacement: Array) -> Array:
         """(gaps,) by how much each free node must keep off more for a displacement (components, nodes)."""
@@ -329,7 +315,7 @@ def admissible(
     for _ in range(REPEATS):
         continuous = Continuous(problem, nodes)
         inside = [cells for cells in continuous.cells if cells.contact.obstacle.boundary is Place.INTERIOR]
-        cut = [cells.number[cells.unreachable(continuous.given_along(cells))] for cells in inside]
+        cut = [cells.number[cells.unreachable(continuous.given)] for cells in inside]
         elements = numbers_of(cut)
         if elements.size == 0:
             break

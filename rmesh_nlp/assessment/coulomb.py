@@ -69,15 +69,16 @@ def _integral(
     obstacle, edges = part.obstacle, body.edges_of(part.obstacle)
     on_edges = fields[:, space.nodes_of(edges.ends)]
 
-    def integrand(which: Index, s: Array, where: Array) -> Array:
+    def sums(which: Index, s: Array, where: Array, weights: Array) -> Array:
         shares = functions(space.order, np.stack([1 - s, s]))
         pressure, tau, *u = np.einsum("cvm,vmk->cmk", on_edges[:, :, which], shares)
         normals = obstacle.normals(where)
         bound = obstacle.friction_law.bound(where, pressure)
         slip = cross(u, normals)
-        return np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))[None]
+        off = np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))
+        return np.sum(off * weights, axis=1)[None]
 
-    return float(np.sum(over_edges(edges, integrand, (obstacle.friction_law.given,)).value))
+    return float(np.sum(over_edges(edges, sums, (obstacle.friction_law.given,)).value))
 
 
 def growth(before: float | None, after: float | None) -> str | None:

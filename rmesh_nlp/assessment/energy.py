@@ -31,23 +31,25 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
         exact = None if law.varies else space.order
         for elements, points in ((region[~curved], exact), (region[curved], None)):
 
-            def integrand(which: Index, barycentric: Array, where: Array, law: Law = law) -> Array:
+            def sums(which: Index, barycentric: Array, where: Array, weights: Array, law: Law = law) -> Array:
                 coordinates = gradients(body.at(which, barycentric)[1])
                 gradient = np.einsum("avmk,vimk->aimk", slopes(space.order, barycentric), coordinates)
-                if not law.varies:
-                    return _density(law, gradient).reshape(-1, *gradient.shape[2:])
-                unit = np.einsum("ci,iam->caim", np.eye(len(counts)), counts[:, space.elements[:, which]])
+                unit = (counts | (not law.varies))[:, space.elements[:, which]]
+                unit = np.einsum("ci,iam->caim", np.eye(len(counts)), unit)
                 slope = np.einsum("caim,akmp->ckaimp", unit, gradient)
                 u = np.einsum("caim,amp->caimp", unit, functions(space.order, barycentric))
                 fields = law.extended(slope, u, where)
-                fields = fields.reshape(fields.shape[0] * fields.shape[1], -1, *gradient.shape[2:])
+                fields = fields.reshape(-1, len(gradient) * len(counts), *weights.shape)
                 moduli = law.moduli.reshape(len(fields), -1)
-                stresses = np.einsum("kl,lamp->kamp", moduli, fields)
-                products = np.einsum("kamp,kbmp->abmp", fields, stresses)
-                return products.reshape(-1, *gradient.shape[2:])
+                stresses = np.tensordot(moduli, fields * weights, 1)
+                left, right = (
+                    each.transpose(2, 1, 0, 3).reshape(*fields.shape[2:0:-1], -1)
+                    for each in (fields, stresses)
+                )
+                return (left @ right.transpose(0, 2, 1)).reshape(len(which), -1).T
 
             if elements.size:
-                local = over_triangles(body, elements, integrand, points)
+                local = over_triangles(body, elements, sums, points)
                 nodes = problem.components * space.elements[:, None, elements]
                 dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
                 place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
@@ -55,14 +57,6 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
                 if points is None:
                     doubt += sp.csc_array((local.doubt.ravel(), place), shape=(n, n))
     return matrix, doubt
-
-
-def _density(law: Law, gradient: Array) -> Array:
-    """Integrand (n components, n components, m, k) of the stiffness for gradients (n, 2, m, k)."""
-    each = np.einsum("akmp,ikjl->aijlmp", gradient, law.moduli, optimize=True)
-    full = np.einsum("aijlmp,blmp->aibjmp", each, gradient, optimize=True)
-    n = len(gradient) * law.components
-    return full.reshape(n, n, *gradient.shape[2:])
 
 
 def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
@@ -95,19 +89,21 @@ def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index
     more = polynomial_degree(body.problem.measure)
     points = None if degree is None or more is None or not straight else (degree + more + order + 3) // 2
 
-    def integrand(_: Index, barycentric: Array, where: Array) -> Array:
-        return functions(order, barycentric) * on_points(coefficient, where, "a load")
+    def sums(_: Index, barycentric: Array, where: Array, weights: Array) -> Array:
+        values = on_points(coefficient, where, "a load") * weights
+        return np.sum(functions(order, barycentric) * values, axis=2)
 
-    return over_triangles(body, elements, integrand, points, (coefficient,))
+    return over_triangles(body, elements, sums, points, (coefficient,))
 
 
 def shape_integrals(edges: Edges, coefficient: Coefficient, order: int = 1) -> Integral:
     """Integrals (nodes per edge, edges) of a coefficient times shape functions along edges."""
 
-    def integrand(_: Index, s: Array, where: Array) -> Array:
-        return functions(order, np.stack([1 - s, s])) * on_points(coefficient, where, "a load")
+    def sums(_: Index, s: Array, where: Array, weights: Array) -> Array:
+        values = on_points(coefficient, where, "a load") * weights
+        return np.sum(functions(order, np.stack([1 - s, s])) * values, axis=2)
 
-    return over_edges(edges, integrand, (coefficient,))
+    return over_edges(edges, sums, (coefficient,))
 
 
 def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
@@ -124,10 +120,10 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
         u = sum(displacement[:, i, rows, None] * share for i, share in enumerate(shares))
         return cross(u, normals)
 
-    def integrand(rows: Index, s: Array, where: Array) -> Array:
+    def sums(rows: Index, s: Array, where: Array, weights: Array) -> Array:
         bound = on_points(obstacle.friction_law.given, where, "the friction bound")
-        return (bound * np.abs(slip(rows, s, where)))[None]
+        return np.sum(bound * np.abs(slip(rows, s, where)) * weights, axis=1)[None]
 
     along = (lambda rows, s: slip(rows, s, edges.at(rows, s)[0])), order if obstacle.level is None else None
-    total = over_edges(edges, integrand, (obstacle.friction_law.given,), [along])
+    total = over_edges(edges, sums, (obstacle.friction_law.given,), [along])
     return total.value[0], total.doubt[0]

@@ -21,9 +21,9 @@ from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.problem.enclosures import resolved
 from rmesh_nlp.vectorised import CHUNK
 
-Integrand = Callable[[Index, Array, Array], Array]
-"""``(elements (m,), barycentric (3, m, k), points (2, m, k)) -> values (rows, m, k)``; on edges s (m, k) in
-the place of barycentric coordinates."""
+Integrand = Callable[[Index, Array, Array, Array], Array]
+"""``(elements (m,), barycentric (3, m, k), points (2, m, k), weights (m, k)) -> sums (rows, m)``; on edges
+s (m, k) in the place of barycentric coordinates."""
 
 OnCells = Callable[[Index, Array, Array, int], Array]
 """``(owners (m,), low (directions, m), width (m,), order) -> integrals (rows, m)``."""
@@ -81,8 +81,7 @@ def over_triangles(
         weights = np.outer(width**2 * parts.share[part], np.repeat(w, order) * np.tile(w, order)) * r
         barycentric = np.einsum("ipm,pmk->imk", corners, np.stack([1 - r, r * (1 - s), r * s]))
         where, det = body.points(element, barycentric)
-        det = weights * det * body.problem.measured(where)
-        return np.einsum("amk,mk->am", integrand(element, barycentric, where), det)
+        return integrand(element, barycentric, where, weights * det * body.problem.measured(where))
 
     vertices = body.points(elements[parts.owner], parts.corners.transpose(0, 2, 1))[0]
     return _integral(on_cells, parts, elements.size, vertices, coefficients, points)
@@ -106,8 +105,7 @@ def over_edges(
         owner, width = parts.owner[part], width * length[part]
         s = begin[part, None] + low[0, :, None] * length[part, None] + np.outer(width, x)
         where, speed = edges.at(owner, s)
-        speed = np.outer(width, w) * speed * edges.body.problem.measured(where)
-        return np.einsum("amk,mk->am", integrand(owner, s, where), speed)
+        return integrand(owner, s, where, np.outer(width, w) * speed * edges.body.problem.measured(where))
 
     vertices = edges.at(parts.owner, np.stack([begin, parts.end], axis=1))[0]
     return _integral(on_cells, parts, edges.size, vertices, coefficients)
@@ -168,7 +166,8 @@ def _integral(
 
 
 def _in_chunks(on_cells: OnCells, owner: Index, low: Array, width: Array, order: int) -> Array:
-    parts = [slice(i, i + CHUNK) for i in range(0, owner.size, CHUNK)]
+    size = CHUNK // order
+    parts = [slice(i, i + size) for i in range(0, owner.size, size)]
     return np.hstack([on_cells(owner[part], low[:, part], width[part], order) for part in parts])
 
 

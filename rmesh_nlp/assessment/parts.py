@@ -32,8 +32,9 @@ SAMPLES = 32
 """Pieces of an edge between whose ends the sign of a switch that is no polynomial is compared. Triangles are
 refined around the zeros of such a switch until their edges are such pieces."""
 
-INSIDE = 1 / 24 + 7 / 8 * np.hstack([np.eye(3), [[1 / 2, 0, 1 / 2], [1 / 2, 1 / 2, 0], [0, 1 / 2, 1 / 2]]])
-"""Barycentric coordinates (3, 6) of points inside of a triangle by which a quadratic function is known."""
+INSIDE = np.hstack([np.eye(3), [[1 / 2, 0, 1 / 2], [1 / 2, 1 / 2, 0], [0, 1 / 2, 1 / 2]]])
+INSIDE = PROVED + (1 - 3 * PROVED) * INSIDE
+"""Barycentric coordinates (3, 6) just inside of a triangle, by which a quadratic function is known."""
 
 TO_QUADRATIC = np.linalg.inv(functions(2, INSIDE).T)
 
@@ -126,12 +127,18 @@ def _zeros_along(
         width = np.tile(width[is_open] / 2, 2)
         rows, low = np.tile(rows[is_open], 2), np.tile(low[is_open], 2)
         low[rows.size // 2 :] += width[rows.size // 2 :]
-    first = np.sign(value(at, begin[:, None])[:, 0]) if at.size else begin
+    zeros = _bisected(lambda s: value(at, s[:, None])[:, 0], begin, end) if at.size else begin
+    return at, zeros, degree is not None and rows.size == 0
+
+
+def _bisected(value: Callable[[Array], Array], begin: Array, end: Array) -> Array:
+    """(m,) where values (m,) change their sign between two places each."""
+    first = np.sign(value(begin))
     while np.any(end - begin > np.finfo(float).eps):
         middle = (begin + end) / 2
-        is_low = value(at, middle[:, None])[:, 0] * first > 0
+        is_low = value(middle) * first > 0
         begin, end = np.where(is_low, middle, begin), np.where(is_low, end, middle)
-    return at, (begin + end) / 2, degree is not None and rows.size == 0
+    return (begin + end) / 2
 
 
 def _one_sign(values: Array) -> Mask:
@@ -152,10 +159,12 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
     is_certain = True
     for switch, degree in _switches_of(coefficients):
 
-        def quadratic(owner: Index, corners: Array, switch: Callable[[Array], Array] = switch) -> Array:
+        def values(owner: Index, places: Array, switch: Callable[[Array], Array] = switch) -> Array:
+            return switch(body.points(elements[owner], places)[0])
+
+        def quadratic(owner: Index, corners: Array) -> Array:
             """Bernstein coefficients (6, parts) by values inside of parts: on their sides others may jump."""
-            values = switch(body.points(elements[owner], np.einsum("ipm,pk->imk", corners, INSIDE))[0])
-            return TO_QUADRATIC @ values.T
+            return TO_QUADRATIC @ values(owner, np.einsum("ipm,pk->imk", corners, INSIDE)).T
 
         tiny = PROVED * magnitude(quadratic(owner, corners))
         bends = body.is_curved[elements] | (degree is None or degree > 1)
@@ -165,10 +174,10 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
                 owner, corners, bends[owner] & _have_two_signs(quadratic(owner, corners), tiny)
             )
             width = width / 2
-        values = quadratic(owner, corners)
+        last = quadratic(owner, corners)
         is_certain &= degree is not None and degree <= 2
-        is_certain &= not np.any(bends[owner] & _have_two_signs(values, tiny))
-        owner, corners = _cut(owner, corners, values[:3], tiny)
+        is_certain &= not np.any(bends[owner] & _have_two_signs(last, tiny))
+        owner, corners = _cut(owner, corners, last[:3], tiny, None if degree == 1 else values)
     return TriangleParts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
 
 
@@ -187,8 +196,13 @@ def refined(owner: Index, corners: Array, chosen: Mask) -> tuple[Index, Array]:
     )
 
 
-def _cut(owner: Index, corners: Array, values: Array, tiny: float) -> tuple[Index, Array]:
-    """Parts with values of two signs in three, along the line where their linear function is zero."""
+def _cut(
+    owner: Index, corners: Array, values: Array, tiny: float, at: Callable[[Index, Array], Array] | None
+) -> tuple[Index, Array]:
+    """Parts with values of two signs at their corners, along the line between the zeros on their sides.
+
+    ``at`` has the values of owners at places, just inside of parts; without it they are linear.
+    """
     chosen = _have_two_signs(values, tiny)
     values, part = np.where(np.abs(values) <= tiny, 0.0, values)[:, chosen], corners[:, :, chosen]
     above = values > 0
@@ -196,8 +210,17 @@ def _cut(owner: Index, corners: Array, values: Array, tiny: float) -> tuple[Inde
     alone = np.argmax(above == (np.count_nonzero(above, axis=0) == 1), axis=0)
     every = np.arange(alone.size)
     p, q, r = (part[:, (alone + turn) % 3, every] for turn in range(3))
-    at_p, at_q, at_r = (values[(alone + turn) % 3, every] for turn in range(3))
-    on_q, on_r = p + at_p / (at_p - at_q) * (q - p), p + at_p / (at_p - at_r) * (r - p)
+    at_p, *at_others = (values[(alone + turn) % 3, every] for turn in range(3))
+    begin, ends, first = np.tile(p, 2), np.hstack([q, r]), np.tile(at_p, 2)
+    share = first / (first - np.concatenate(at_others))
+    if at is not None:
+        cut, inside = np.tile(owner[chosen], 2), PROVED * (np.tile(part.mean(axis=1), 2) - begin)
+        share = _bisected(
+            lambda s: at(cut, (begin + inside + s * (ends - begin))[..., None])[:, 0],
+            0 * share,
+            0 * share + 1,
+        )
+    on_q, on_r = np.hsplit(begin + share * (ends - begin), 2)
     three = [np.stack(corner, axis=1) for corner in ((p, on_q, on_r), (on_q, q, r), (on_q, r, on_r))]
     owner = np.concatenate([owner[~chosen], *[owner[chosen]] * 3])
     corners = np.concatenate([corners[:, :, ~chosen], *three], axis=2)

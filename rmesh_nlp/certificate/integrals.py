@@ -40,12 +40,13 @@ def integrals(
         value = float(coefficient)  # all functions have the same integral
         return Integrals(np.full(shape, value / shape[0]), np.full(shape[1], value**2), np.zeros(shape))
 
-    def tested(_: Index, barycentric: Array, where: Array) -> Array:
+    def tested(_: Index, barycentric: Array, where: Array, weights: Array) -> Array:
         values = on_points(coefficient, where)
-        return np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
+        each = np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
+        return np.sum(each * weights, axis=2)
 
-    def along(rows: Index, s: Array, where: Array) -> Array:
-        return tested(rows, np.stack([1 - s, s]), where)
+    def along(rows: Index, s: Array, *places: Array) -> Array:
+        return tested(rows, np.stack([1 - s, s]), *places)
 
     if vertices == 2:
         sums, measure = over_edges(Edges(skeleton.body, cells), along, (coefficient,)), skeleton.lengths

@@ -111,7 +111,7 @@ def first_set(system: ContactSystem) -> ActiveSet:
 
     It is solved from :func:`at_rest`, or where only contact holds the body from the set in which all nodes
     touch and stick. These are the answer where contact acts on so many unknowns that the condensed matrix has
-    more entries, as on the whole interior.
+    more entries than factors, as on the whole interior.
     """
     start = at_rest(system)
     if system.rigid is not None:

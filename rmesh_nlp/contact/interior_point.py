@@ -142,5 +142,8 @@ class BarrierProgram:
         centred = ahead * (ahead / np.mean(y * z)) ** 2
         for number in range(3):
             other = newton(centred - step[2] * step[3] - y * z)
-            step = max(step, other, key=taken) if number else other
-        return tuple(x + taken(step, 0.995) * by for x, by in zip((u, s, y, z), step, strict=True))
+            if number and taken(other) <= taken(step):
+                break
+            step = other
+        part = taken(step, 0.995)
+        return tuple(x + part * by for x, by in zip((u, s, y, z), step, strict=True))

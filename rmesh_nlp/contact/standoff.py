@@ -10,7 +10,7 @@ varies, what is left is added.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
@@ -59,22 +59,17 @@ class Cells:
         """Whether they are triangles."""
         return self.sag.shape == self.distance.shape
 
-    def off(self, given: Array) -> Array:
-        """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
-
-        ``given`` (nodes,) is the displacement along the normal where it is given.
-        """
-        height = self.shares.T @ self.at_nodes - (self.distance - self._beside(self.sag)).T
-        return self._needed(height, np.where(self.rows < 0, self.at_nodes + given[self.nodes], 0.0))
+    def only(self, chosen: Mask) -> Cells:
+        """Some of the cells (m,)."""
+        first = {name: getattr(self, name)[chosen] for name in ("number", "distance", "sag")}
+        second = {name: getattr(self, name)[:, chosen] for name in ("nodes", "rows", "points", "at_nodes")}
+        return replace(self, **first, **second)
 
     def unreachable(self, given: Array) -> Index:
-        """Cells all of whose nodes are held, through which the foundation rises."""
-        held = np.flatnonzero(np.all(self.rows < 0, axis=0))
-        if held.size == 0:
-            return held
-        gap = self.shares.T @ given[self.nodes[:, held]] + self.distance[held].T
+        """Cells all of whose nodes are held, at ``given`` (components, nodes), and the foundation higher."""
+        gap = np.min(self.along(given) + self.distance, axis=1)
         size = ROUNDING * (magnitude(self.distance) + magnitude(given))
-        return held[np.min(gap, axis=0) < -size]
+        return np.flatnonzero(np.all(self.rows < 0, axis=0) & (gap < -size))
 
     @cached_property
     def normals(self) -> Array:
@@ -134,22 +129,18 @@ class Cells:
         return np.maximum(np.pad(sag, ((0, 0), (1, 0))), np.pad(sag, ((0, 0), (0, 1))))
 
     def missing(self, displacement: Array) -> Array:
-        """(m,) by how much the free nodes of each cell must keep off more than they do; not negative."""
-        lack = self._needed(-self.gaps(displacement).T, np.zeros(self.rows.shape))
-        return np.maximum(np.where(np.isfinite(lack), lack, 0.0), 0.0)
+        """(m,) by how much the free nodes of each cell must keep off more than they do; not negative.
+
+        It is the largest ratio of what is missing to the share of the free nodes, 0 where none is free.
+        """
+        share = self.shares.T @ (self.rows >= 0)
+        counts = share > ROUNDING
+        lack = np.divide(-self.gaps(displacement).T, share, out=np.zeros(share.shape), where=counts)
+        return np.max(lack, axis=0, initial=0.0)
 
     def pressed(self, force: Array) -> Mask:
         """(m,) cells of which a free node presses on the foundation with a force of (gaps,)."""
         return np.any((self.rows >= 0) & (force[self.rows] > 0), axis=0)
-
-    def _needed(self, height: Array, held: Array) -> Array:
-        """Largest ratio of what is missing (k, m), less what held nodes give, to the share of free ones."""
-        free = self.rows >= 0
-        share = self.shares.T @ free
-        short = height - self.shares.T @ held
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(share > ROUNDING, short / share, -np.inf)
-        return np.max(ratio, axis=0, initial=-np.inf)
 
 
 def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Iterator[Cells]:

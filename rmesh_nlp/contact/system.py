@@ -84,9 +84,10 @@ class ContactSystem:
         """The program in the unknowns ``last`` (k,) alone, among which are all that contact acts on.
 
         And all unknowns (m,) in equilibrium with these. None where there are none, or where its matrix has
-        more entries.
+        more entries than factors.
         """
-        if last.size == 0 or last.size**2 > self.stiffness.nnz:
+        # factors have four times the entries of the stiffness or more
+        if last.size == 0 or last.size**2 > 4 * self.stiffness.nnz:
             return None
         part = Condensed(self.stiffness, self.load, last)
         own = {name: getattr(self, name)[:, last] for name in ("normals", "tangents")}

@@ -36,8 +36,8 @@ def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pyte
     body = Body(problem, problem.mesh.p)
     edges = Edges(body, np.concatenate([problem.mesh.boundaries[side] for side in ("bottom", "top")]))
 
-    def kink(_: Array, s: Array, __: Array) -> Array:
-        return np.stack([np.abs(s - 0.3), s > 1 / 3])
+    def kink(_: Array, s: Array, __: Array, weights: Array) -> Array:
+        return np.sum(np.stack([np.abs(s - 0.3), s > 1 / 3]) * weights, axis=2)
 
     found, doubt, _ = over_edges(edges, kink)
     assert found[0] == pytest.approx(np.full(2, 0.09 + 0.49), abs=1e-6)
@@ -102,7 +102,7 @@ def body(n: int = 3) -> Body:
 
 
 def integrand(coefficient: Coefficient) -> Callable[..., Array]:
-    return lambda _, __, x: on_points(coefficient, x)[None]
+    return lambda _, __, x, weights: np.sum(on_points(coefficient, x) * weights, axis=1)[None]
 
 
 def disc(x, y):
@@ -124,6 +124,9 @@ def disc(x, y):
         (lambda x, y: ca.sign(x - 1) + ca.floor(x), 1.0, 1e-4, False),
         (lambda x, y: where(ca.sin(3 * x) > 0, 1.0, 0.0), np.pi / 3, 1e-5, False),
         (disc, np.pi * 0.09, 1e-3, False),
+        # switches that are nearly constant beside their zeros, which are close to a side
+        (lambda x, y: where(ca.atan(1e9 * (x - 1.99)) > 0, 1.0, 0.0), 0.01, 1e-6, False),
+        (lambda x, y: where(ca.tanh(1e8 * (x + y / 2 - 1.1)) > 0, 1.0, 0.0), 1.15, 1e-6, False),
         # switches of switches
         (lambda x, y: ca.fmax(ca.fabs(x - 1) - ca.fabs(2 * y - 1), 0), 1 / 3, 1e-12, True),
         (lambda x, y: where(where(x > 0.7, 1.0, 2.0) * y > 0.6, 1.0, 0.0), 1.3 * 0.4 + 0.7**2, 1e-12, True),

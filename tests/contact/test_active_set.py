@@ -227,6 +227,19 @@ def test_the_condensed_problem_has_the_active_set_of_the_whole(make: Callable[[]
     assert solution.iterations == 1
 
 
+def test_a_thin_body_is_condensed_to_where_contact_acts() -> None:
+    """The matrix has more entries than the stiffness, and fewer than its factors."""
+    load, below = Traction("top", (0.2, -1.0)), Obstacle.graph("bottom", -0.01, friction=0.1)
+    thin = ContactProblem(rectangle(40, 2, x=(0, 4)), PlaneStrain(9.0, 9.0), "left", below, tractions=load)
+    system = ContactSolver(thin).system(thin.mesh.p)
+    last = np.unique(np.append(system.normals.indices, system.tangents.indices))
+    assert system.stiffness.nnz < last.size**2
+    found = system.condensed(last)
+    assert found is not None
+    state, condensed = solve(system), solve(found[0])
+    np.testing.assert_allclose(found[1](condensed.u), state.u, rtol=0, atol=1e-9 * np.max(np.abs(state.u)))
+
+
 def test_contact_on_all_unknowns_is_not_condensed() -> None:
     problem = refined(random_problem(3, kind="membrane"))
     system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
