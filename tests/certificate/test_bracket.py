@@ -332,7 +332,8 @@ def test_equilibrium_is_checked_and_can_fail():
     assert edge_residual(skeleton, conditions, field) < 1e-11
     balance, spoilt = field.balance, field.forces.copy()
     spoilt[3, 5] *= 1.01
-    pulled = replace(balance, pressure=balance.pressure - np.max(balance.pressure))
+    turned_over = replace(balance.assembled, normals=-balance.assembled.normals)  # in balance, but it pulls
+    pulled = replace(balance, pressure=-balance.pressure, assembled=turned_over)
     rough = replace(balance, friction=balance.friction + 1.0)
     for change in ({"forces": spoilt}, {"balance": pulled}, {"balance": rough}):
         assert edge_residual(skeleton, conditions, replace(field, **change)) > 1e-6
@@ -342,6 +343,26 @@ def test_equilibrium_is_checked_and_can_fail():
     mirrored = replace(field, balance=replace(balance, friction=-balance.friction, assembled=other_way))
     assert edge_residual(skeleton, slippery, field) > 1e-6
     assert edge_residual(skeleton, slippery, mirrored) == edge_residual(skeleton, slippery, field)
+
+
+def test_oscillation_doubts_and_imbalance_lower_the_bound_by_what_they_may_cost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """D - sum (eta_T r_T + r_T^2 / 2), doubtful given displacements, strain times imbalance."""
+    problem, name, r = block(dirichlet=held(lambda x, y: 0.1)), "rmesh_nlp.certificate.bracket.", 0.1
+    field = equilibrated(problem, skeleton_of(problem, problem.mesh.p), guess_on(problem))
+    first = bracket_of(problem)
+    monkeypatch.setattr(name + "oscillation", lambda *_: np.full(field.variation.size, r))
+    second = bracket_of(problem)
+    assert first.lower - second.lower == pytest.approx(np.sum(field.variation * r + r**2 / 2))
+    made = equilibration.conditions_of
+    monkeypatch.setattr(equilibration, "conditions_of", lambda *of: replace(made(*of), given_doubt=0.01))
+    third, reaction = bracket_of(problem), abs(field.balance.reaction_work)
+    assert 1e-3 < second.lower - third.lower == pytest.approx(0.01 * reaction)
+    monkeypatch.setattr(name + "edge_residual", lambda *_: 0.3)
+    fourth = bracket_of(problem)
+    assert third.lower - fourth.lower >= 0.3 * (np.sum(field.energy) + 0.99 * reaction)
+    assert "out of equilibrium by 3.0e-01" in fourth.lower_faults[0]
 
 
 def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,12 +11,13 @@ from scipy.special import jn_zeros
 from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import conditions_of
-from rmesh_nlp.certificate.integrals import integrals
+from rmesh_nlp.certificate.integrals import Loads, body_forces, integrals
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import Skeleton, same_domain, skeleton_of
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem.coefficients import Coefficient
 from support.certificates import distorted
 from support.rules import coarsen
 
@@ -189,3 +190,16 @@ def test_parts_of_the_boundary_may_not_slide_where_they_are_in_use(role: str, en
     nodes = mesh.p.copy()
     nodes[0, np.isin(nodes[0], ends) & (nodes[1] == 0)] += 0.05
     assert same_domain(problem, nodes) is (role == "no role")
+
+
+def test_loads_count_all_components_and_displacements_elsewhere() -> None:
+    def of(*load: Coefficient) -> Loads:
+        problem = ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0, load), "left")
+        return body_forces(problem, skeleton_of(problem, problem.mesh.p))
+
+    f, g = (lambda x, y: ca.sin(3 * x)), (lambda x, y: ca.cos(4 * y))
+    both, parts = of(f, g), (of(f, 0.0), of(0.0, g))
+    np.testing.assert_allclose(both.remainder**2, sum(part.remainder**2 for part in parts))
+    doubted, u = replace(both, doubt=np.ones_like(both.doubt)), np.zeros((2, 9))
+    u[0, 4] = 3.0  # of the least energy, a displacement may be as large anywhere
+    assert doubted.doubtful_work(u) >= 6 * 3.0 * np.sum(both.measure)

@@ -14,7 +14,7 @@ from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.forces import force_bounds
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Place, PlaneStrain, Traction
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.certify import certify
@@ -49,12 +49,14 @@ def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(order: int) -> Non
 @BOTH
 def test_force_of_an_obstacle_in_the_interior(order: int) -> None:
     """-u'' = -2, u >= -1/20: contact but for sqrt(1/20) from either end."""
-    problem = ContactProblem(
-        rectangle(8, 2), Laplace(-2.0), ("left", "right"), Obstacle.interior(-0.05), order=order
-    )
-    lower, upper = bounds_of(problem)
-    assert lower < 2 * (1 - 2 * np.sqrt(0.05)) < upper
-    assert upper - lower < {1: 1.2, 2: 0.3}[order]
+    for sign in (1.0, -1.0):  # below, and above
+        obstacle = Obstacle(Place.INTERIOR, (sign,), 0.05)
+        problem = ContactProblem(
+            rectangle(8, 2), Laplace(-2.0 * sign), ("left", "right"), obstacle, order=order
+        )
+        lower, upper = bounds_of(problem)
+        assert lower < 2 * (1 - 2 * np.sqrt(0.05)) < upper
+        assert upper - lower < {1: 1.2, 2: 0.3}[order]
 
 
 def body(n: int, order: int, friction: float) -> ContactProblem:
@@ -97,6 +99,7 @@ def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch:
     lower = exact.energy - 1e-3 * exact.strain
     (contact,) = exact.continuous.space.contact_sets
     plain = force_bounds(exact, lower, contact)
+    assert force_bounds(exact, lower, contact, lambda x, y: -1.0)[0] < -plain[0]  # of any sign
     monkeypatch.setattr(Continuous, "solve", lambda *given: replace(found(*given), doubt=1e-3 * exact.strain))
     wide = force_bounds(exact, lower, contact)
     assert 0 <= wide[0] < plain[0] < plain[1] < wide[1]
@@ -106,7 +109,7 @@ def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch:
 def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> None:
     hats = [f"pressure(bottom, max(0, 1 - abs(x - {x})))" for x in (0, 1, 2)]
     needle = "pressure(bottom, exp(-1e10*(x - 0.703)**2))"
-    asked, fine = [*hats, "pressure(bottom, x)"], solved_body(4, 2, 0.0)
+    asked, fine = [*hats, "pressure(bottom, x)", "pressure(bottom, -x)"], solved_body(4, 2, 0.0)
     found, known = (
         certify(solved_body(4, 2, 0.0), quantities=[*asked, needle]),
         certify(fine, quantities=asked),

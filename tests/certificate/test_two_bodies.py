@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.certificate.bracket import edge_residual
+from rmesh_nlp.certificate.bracket import bracket, edge_residual
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.equilibration import equilibrated
 from rmesh_nlp.certificate.hybrid import jumps
 from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem.contact_problem import refined
@@ -133,6 +134,8 @@ def test_equilibrium_across_a_pair_and_of_a_tool_is_checked(name: str) -> None:
     skeleton, guess = skeleton_of(problem, problem.mesh.p), guess_on(problem)
     conditions, field = conditions_of(problem, skeleton), equilibrated(problem, skeleton, guess)
     assert edge_residual(skeleton, conditions, field) < 1e-11
+    computed = ContactSolver(problem).given.energy
+    assert bracket(problem, problem.mesh.p, guess).upper == pytest.approx(computed, rel=0.02)
     assembled, (part,) = field.balance.assembled, conditions.parts
     other = replace(conditions, parts=(part._replace(reversed=~part.reversed),))
     spoilt = replace(assembled, normals=jumps(skeleton, other)[-1])
