@@ -241,7 +241,7 @@ def hidden(number: int) -> Data:
     def stepped(low: float, high: float) -> Text:
         first, last = _number(rng, low, high), _number(rng, low, high)
         if rng.integers(3) == 0:
-            return disguised(f"{first}+{last - first}*{{}}", "fabs(x-{0})", KINKS)
+            return disguised(f"{first}+{(last - first) / 2}*{{}}", "fabs(x-{0})", KINKS)
         return disguised(f"{first}+{last - first}*{{}}", "where(x>{0},1,0)", STEPS)
 
     few = [rng.integers(2) == 0 for _ in range(4)]
