@@ -147,6 +147,14 @@ class OnMesh:
         """(components, nodes and tools) coefficients of the displacement."""
         return self.displacement.values(self.state.u)
 
+    @property
+    def ends(self) -> Array:
+        """(2, n) places where contact ends: nodes that touch, of triangles with nodes that do not."""
+        space, kind = self.space, np.zeros(self.space.n_nodes)
+        kind[space.contact_nodes] = 1 + self.state.active.touching
+        of = kind[space.elements]
+        return space.points(self.nodes)[:, space.elements[(of == 2) & np.any(of == 1, axis=0)]]
+
     def dual(self, gap: Array, push: Array) -> Array:
         """The displacement under a load, both as :attr:`u`, and offsets (gaps,)."""
         index, load, dual = self.displacement.index, np.zeros(self.system.load.size), np.zeros(push.shape)
