@@ -62,7 +62,7 @@ def _of_mesh(path: Path, beside: Path) -> Values:
     flat = [name for name, on in nodes.items() if np.ptp(x[on]) > SEVEN_DIGITS * np.ptp(x)]
     names = sorted(flat, key=lambda name: y[nodes[name]].mean())
     piece = pieces_of(mesh.facets, x.size)
-    of_piece = {number: name for name in names[1:] for number in np.unique(piece[nodes[name]])}
+    of_piece = {number: name for name in names[1:] for number in piece[nodes[name]].flat}
     comment = "# " * (len(names) > 1)
     moved = list(dict.fromkeys(of_piece.values())) if comment else ["highest-tenth"]
     tenth = np.ptp(y) / 10
@@ -91,7 +91,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         mesh = _read(path)
         names = "outside", *named_by_user(mesh.boundaries)
         mesh = named(mesh, {"outside": lambda x: x[0] == x[0]})
-        problem = ContactProblem(mesh, Laplace(0.0), names, motion=Motion(delta=0), name=path.name)
+        problem = ContactProblem(mesh, Laplace(0.0), names, motion=Motion(0), name=path.name)
         said = f"a mesh, by its size in {'mm' if np.ptp(mesh.p) > 2 else 'm'}"
         rows = problem.summary()[:4]
         messages = [sign.message for sign in curve_warnings(problem, names)]

@@ -161,7 +161,8 @@ class Spline(Curve):
         return np.vstack([p, p[:1]]) if self.closed else p
 
     @cached_property
-    def interval(self) -> tuple[float, float]:  # type: ignore[override]  # noqa: D102
+    def interval(self) -> tuple[float, float]:  # type: ignore[override]
+        """Parameters of its ends."""
         return float(self._knots[0]), float(self._knots[-1])
 
     @cached_property

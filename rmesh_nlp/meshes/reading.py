@@ -67,7 +67,7 @@ def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> Mesh
     expect_path(path)
     path = Path(path)
     kind = _format(path)
-    data = path.read_bytes() if kind == "gmsh" else b""
+    data = path.read_bytes() if kind == "gmsh" and b'"skfem:' not in path.read_bytes() else b""
     if kind == "abaqus" or b"$MeshFormat" in data or b"$NOD" in data:
         with located(f"{path}: cannot be read", (ValueError, TypeError, LookupError, ArithmeticError)):
             own = read_msh(data) if data else read_inp(path)

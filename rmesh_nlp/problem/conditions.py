@@ -27,25 +27,31 @@ def as_tuple(value: Any) -> tuple[Any, ...]:
 
 
 @dataclass(frozen=True)
-class Traction:
-    """A load on a named boundary.
-
-    Parameters
-    ----------
-    boundary : str
-    value : tuple of float or function of position, or one alone
-        Force per area, one entry per displacement component.
-    """
+class OnBoundary:
+    """Values on a named boundary, one per displacement component; one alone may be given without a tuple."""
 
     boundary: str
-    value: tuple[Coefficient, ...]
+    value: tuple[Coefficient | None, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", as_tuple(self.value))
 
 
-@dataclass(frozen=True)
-class Dirichlet:
+class Traction(OnBoundary):
+    """A load on a named boundary.
+
+    Parameters
+    ----------
+    boundary : str
+        Its name.
+    value : tuple of float or function of position, or one alone
+        Force per area, one entry per displacement component.
+    """
+
+    value: tuple[Coefficient, ...]
+
+
+class Dirichlet(OnBoundary):
     """Displacement given on a named boundary.
 
     Nodes fixed at a function of position do not move: sliding along curved
@@ -54,15 +60,10 @@ class Dirichlet:
     Parameters
     ----------
     boundary : str
+        Its name.
     value : tuple of float, function of position or None, or one alone
         In units of length, one entry per displacement component; None where the component is free.
     """
-
-    boundary: str
-    value: tuple[Coefficient | None, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "value", as_tuple(self.value))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.display import Rows, Shown, bounds_in_words, describe, figure
-from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.errors import ProblemError, expect
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, lengths, named_by_user
@@ -27,7 +27,7 @@ from rmesh_nlp.problem.lines import harmonic_motions, onto_curves, onto_lines
 from rmesh_nlp.problem.motion import RULES, Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.pairs import edges_of_pair, paired
-from rmesh_nlp.problem.units import after
+from rmesh_nlp.problem.units import Units, after
 
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "laws": ((Law,), "Laplace, PlaneStrain, PlaneStress or Axisymmetric"),
@@ -39,6 +39,7 @@ KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "design": ((DesignVariable, Shape), "DesignVariable or Shape"),
     "constraints": ((Constraint,), "Constraint"),
     "steps": ((LoadStep,), "LoadStep"),
+    "units": ((Units,), "Units"),
 }
 """What some fields of a problem consist of."""
 
@@ -101,7 +102,7 @@ class ContactProblem(Shown, ProblemData):
     def __post_init__(self) -> None:
         for name, (kinds, what) in KINDS.items():
             given = getattr(self, name)
-            needed = name in ("laws", "obstacle", "motion")
+            needed = name in ("laws", "obstacle", "motion", "units")
             every = () if given is None and not needed else as_tuple(given)
             wrong = [value for value in every if not isinstance(value, kinds)]
             if wrong or isinstance(given, Mapping):
@@ -264,6 +265,7 @@ def refined(problem: ContactProblem, *, mesh: MeshTri | None = None) -> ContactP
     Relative ones do so up to the new shortest edge.
     ``mesh`` takes the place of that of the problem. New nodes of a boundary with a curve are on the curve.
     """
+    expect("problem", problem, ContactProblem)
     motion = problem.motion
     if isinstance(motion.delta, Relative):
         motion = replace(motion, delta=Relative(min(1.0, 2 * motion.delta.fraction)))

@@ -25,6 +25,18 @@ SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0,
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
+@pytest.mark.parametrize("suffix", ["msh", "vtk"])
+def test_names_survive_a_file_of_scikit_fem(tmp_path: Path, suffix: str) -> None:
+    """It keeps them in data of elements, in files of gmsh as well."""
+    mesh = named(rectangle(4, 3), subdomains={"west": lambda p: p[0] < 0.5})
+    mesh.save(tmp_path / f"a.{suffix}")
+    back = read_mesh(tmp_path / f"a.{suffix}")
+    assert {name: part.size for name, part in back.boundaries.items()} == {
+        name: part.size for name, part in mesh.boundaries.items()
+    }
+    assert back.subdomains["west"].size == mesh.subdomains["west"].size
+
+
 @pytest.mark.parametrize("suffix", ["msh", "vtu", "vtk"])
 def test_names_survive_a_file(tmp_path: Path, suffix: str) -> None:
     halves = {"west": lambda p: p[0] < 0.5, "east": lambda p: p[0] > 0.5}

@@ -420,6 +420,8 @@ def test_point_load_pins_its_node_and_does_its_work() -> None:
 
 
 MISUSED = [
+    ("units", lambda: ContactProblem(**SCALAR, units="mm")),
+    ("problem", lambda: refined("body.toml")),
     ("body_force", lambda: PlaneStrain.from_young(1000, 0.3, body_force=-9.81)),
     ("lame_mu", lambda: PlaneStrain("soft", 1.0)),
     ("node", lambda: PointLoad((0.5, 0.5), (0, -1))),
