@@ -1,11 +1,11 @@
 """The public names: type checkers read them here, and ``__init__.py`` loads them from here on first use."""
 
 from rmesh_nlp import mpcc as mpcc
-from rmesh_nlp.api.checking import check as check
 from rmesh_nlp.api.results import Comparison as Comparison
 from rmesh_nlp.api.results import compare as compare
 from rmesh_nlp.api.results import plot as plot
 from rmesh_nlp.api.results import read_records as read_records
+from rmesh_nlp.contact.setup_warnings import check as check
 from rmesh_nlp.errors import BadInputError as BadInputError
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
 from rmesh_nlp.fem import objective_text

@@ -10,9 +10,9 @@ import numpy as np
 from rich.console import Console
 from skfem import MeshTri
 
-from rmesh_nlp.api.checking import check as signs_of
 from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import check_target, notes
+from rmesh_nlp.contact.setup_warnings import check as signs_of
 from rmesh_nlp.contact.setup_warnings import curve_warnings
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import Rows, figure, rich_table

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.contact.penetration import Penetration
+from rmesh_nlp.contact.penetration import Penetration, penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array, largest_side, magnitude
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.curves import FITTED, fitted
@@ -50,6 +51,20 @@ class SetupWarning(NamedTuple):
 
     kind: str
     message: str
+
+
+def check(problem: ContactProblem) -> list[str]:
+    """Say what looks wrong about a problem, in sentences, after a contact solve on its mesh as given.
+
+    Such as a foundation that overlaps the body, a load that the mesh does not see, or a curved boundary
+    without a curve. ``rmesh check FILE`` prints them.
+    """
+    expect("problem", problem, ContactProblem)
+    model = ContactSolver(problem.at_design())
+    space, u = model.discretisation.space, model.displacement.values(model.given.u)
+    passing = penetrations(space, model.problem.mesh.p, u)
+    signs = (*curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing))
+    return [sign.message for sign in signs]
 
 
 def setup_warnings(
