@@ -21,7 +21,7 @@ class ContactResiduals:
     """How far displacements and forces are from equilibrium and from the laws of contact and friction."""
 
     equilibrium: float  # largest out-of-balance nodal force, relative to the largest applied one
-    complementarity: float  # see :func:`law_residual`
+    complementarity: float  # violation of the laws of contact and friction, dimensionless
 
     @property
     def hold(self) -> bool:
@@ -55,28 +55,21 @@ def corrections(
 
 
 def residuals(system: ContactSystem, state: Equilibrium | OwnState) -> ContactResiduals:
-    """Those of a contact solution, or of what is to be one."""
-    forces = state.u, state.normal_force, state.tangential_force
-    return ContactResiduals(equilibrium_residual(system, *forces), law_residual(system, *forces))
+    """How far displacement and contact forces are from equilibrium and from the laws (3.10) at the nodes.
 
-
-def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
-    """``max |K u - F - N^T lambda - T^T tau|`` over the largest applied nodal force."""
-    forces = system.normals.T @ normal + system.tangents.T @ tangential
-    return float(magnitude(system.stiffness @ u - system.load - forces) / system.force_scale)
-
-
-def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
-    """Violation of the contact and friction laws (3.10) at the nodes, dimensionless.
-
-    ``max |min(gap / U, lambda / F)|`` and ``max |tau + proj(slip F / U - tau)| / F``, the
-    projection on [-b, b]; U the largest displacement and F the largest applied nodal force.
-    Both vanish exactly where the laws hold, and count penetration and tension as well.
+    With U the largest displacement and F the largest applied nodal force these are
+    ``max |K u - F - N^T lambda - T^T tau| / F``, and the larger one of ``max |min(gap / U, lambda / F)|`` and
+    ``max |tau + proj(slip F / U - tau)| / F``, the projection on [-b, b]. The last two vanish exactly where
+    the laws hold, and count penetration and tension as well.
     """
-    length = max(magnitude(u), 1e-300)
-    force, bound = system.force_scale, system.bound(normal)
+    u, normal, tangential = state.u, state.normal_force, state.tangential_force
+    length, force, bound = max(magnitude(u), 1e-300), system.force_scale, system.bound(normal)
+    forces = system.normals.T @ normal + system.tangents.T @ tangential
     gap = system.normals @ u + system.offset
     slip = (system.tangents @ u) * force / length
     missing = tangential + np.clip(slip - tangential, -bound, bound)
     violations = np.append(np.minimum(gap / length, normal / force), missing / force)
-    return magnitude(violations)  # not a number if one part is none
+    # not a number if one part is none
+    return ContactResiduals(
+        magnitude(system.stiffness @ u - system.load - forces) / force, magnitude(violations)
+    )

@@ -39,7 +39,7 @@ class ConstraintRows:
         The first rows, one each.
     nodal : tuple of ElementGroup
         All others, numbered after those.
-    lower, upper, unit : (rows,) arrays
+    lower, upper : (rows,) arrays
     places : tuple of slice
         Rows of each constraint of the problem.
     """
@@ -48,7 +48,6 @@ class ConstraintRows:
     nodal: tuple[ElementGroup, ...]
     lower: Array
     upper: Array
-    unit: Array
     places: tuple[slice, ...]
 
     @property
@@ -77,20 +76,20 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
     for number in sorted(boundaries, key=lambda number: boundaries[number] is not None):
         (lower, upper), begin, boundary = constraints[number].bounds, len(limits), boundaries[number]
         if boundary is None:
-            unit = _unit(constraints[number])
+            unit = unit_of(constraints[number])
             values.append(parse_objective(constraints[number].value).on(fields).scaled(1 / unit))
-            limits.append((lower / unit, upper / unit, unit))
+            limits.append((lower / unit, upper / unit))
         else:
-            groups, size, unit = _pressure_rows(fields, boundary, upper, begin)
+            groups = _pressure_rows(fields, boundary, upper, begin)
             nodal += groups
-            limits += [(-np.inf, 0.0, unit)] * size
+            limits += [(-np.inf, 0.0)] * sum(group.size for group in groups)
         places[number] = slice(begin, len(limits))
     groups, first, unit = _given_gaps(fields, len(limits))
     nodal += groups
-    limits += [(min(MARGIN, gap / unit), np.inf, unit) for gap in first]
-    low, high, units = np.array(limits).reshape(-1, 3).T
+    limits += [(min(MARGIN, gap / unit), np.inf) for gap in first]
+    low, high = np.array(limits).reshape(-1, 2).T
     each = tuple(places[number] for number in boundaries)
-    return ConstraintRows(tuple(values), tuple(nodal), low, high, units, each)
+    return ConstraintRows(tuple(values), tuple(nodal), low, high, each)
 
 
 def checked(constraint: Constraint) -> Constraint:
@@ -128,18 +127,16 @@ def boundary_of(constraint: Constraint) -> str | None:
     return arguments[0]
 
 
-def _unit(constraint: Constraint) -> float:
+def unit_of(constraint: Constraint) -> float:
+    """The larger one of its finite bounds; 1 if that is zero."""
     finite = [abs(bound) for bound in constraint.bounds if np.isfinite(bound)]
     return max(finite) or 1.0
 
 
-def _pressure_rows(
-    fields: Fields, boundary: str, level: float | ca.SX, first: int
-) -> tuple[list[ElementGroup], int, float]:
-    """Rows ``F_v - P omega_v`` numbered from ``first``, how many, and their unit."""
+def _pressure_rows(fields: Fields, boundary: str, level: float | ca.SX, first: int) -> list[ElementGroup]:
+    """Rows ``F_v - P omega_v`` numbered from ``first``."""
     space = fields.space
     size = float(level if is_number(level) else at_design(level, space.problem.start))
     weights = space.weights(space.problem.mesh.p)[contact_on(space, boundary).rows]
     unit = np.mean(weights) * (abs(size) or 1.0)
-    groups = vertex_groups(fields, boundary, lambda share, force: (force - level * share) / unit, first)
-    return groups, sum(group.size for group in groups), unit
+    return vertex_groups(fields, boundary, lambda share, force: (force - level * share) / unit, first)

@@ -62,6 +62,7 @@ class Bilevel:
     """The MPCC in ``x`` and where its parts are; ``length``, ``force`` and ``value`` are units of the model.
 
     ``summed`` has the sums that objective and constraints are functions of, ``sums`` (m,) their units.
+    ``rows`` says where those of g, of G and of H are.
     """
 
     parts: Discretisation
@@ -73,16 +74,12 @@ class Bilevel:
     sums: Array
     constraints: ConstraintRows
     x: ca.MX
+    rows: Numbering
 
     @cached_property
     def unknowns(self) -> Numbering:
         """Where the unknowns are in ``x``."""
         return Numbering(**self.parts.unknowns.sizes, sums=self.sums.size)
-
-    @cached_property
-    def rows(self) -> Numbering:
-        """Where the rows are: of g, of G and of H."""
-        return rows_of(self.parts, self.sums.size, self.constraints.size)
 
     @property
     def n_equations(self) -> int:
@@ -148,13 +145,6 @@ def _units(parts: Discretisation, length: float, force: float) -> Array:
     return np.repeat((1.0, length, force, length, force, force), list(parts.unknowns.sizes.values()))
 
 
-def rows_of(parts: Discretisation, sums: int, constraints: int) -> Numbering:
-    """The rows of g, by numbers of sums and of constraints, and those of G and of H."""
-    equations = {"equilibrium": parts.n_u, "bounds": parts.n_s, "sums": sums}
-    others = {"constraints": constraints, "areas": parts.validity.size}
-    return Numbering(**equations, **others, G=parts.pairs.size, H=parts.pairs.size)
-
-
 def kkt_unknowns(point: ContactPoint, friction_rows: Index) -> Array:
     """The unknowns ``(q, u, lambda, s, mu-, mu+)`` of the KKT conditions at a contact solution."""
     friction = (part[friction_rows] for part in point.system.friction(point.equilibrium))
@@ -198,7 +188,15 @@ def bilevel(
     units, n_sums = _units(parts, length, force), len(summed.sums)
     sums = np.ones(n_sums) if start is None else summed.sizes(start / units)
     of_sums = replace(unknown_field((n_sums, 1), unknowns.size), scale=sums[:, None])
-    rows = rows_of(parts, n_sums, constraints.size)
+    rows = Numbering(
+        equilibrium=parts.n_u,
+        bounds=parts.n_s,
+        sums=n_sums,
+        constraints=constraints.size,
+        areas=parts.validity.size,
+        G=parts.pairs.size,
+        H=parts.pairs.size,
+    )
     equilibrium, bounds, first_sum = (rows[name].start for name in ("equilibrium", "bounds", "sums"))
 
     bulk = [*strain(fields), *loads(fields, parts.problem.rule)]
@@ -232,7 +230,7 @@ def bilevel(
 
     x = ca.MX.sym("x", unknowns.size + n_sums)
     assembled = Assembled(groups, x, ca.MX(0, 1), rows.size)
-    return Bilevel(parts, assembled, length, force, value, summed, sums, constraints, x)
+    return Bilevel(parts, assembled, length, force, value, summed, sums, constraints, x, rows)
 
 
 def _part(field: Field, first: int, size: int) -> Field:

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.constraints import boundary_of
+from rmesh_nlp.fem.constraints import boundary_of, unit_of
 from rmesh_nlp.fem.contact_pressure import vertex_pressures
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.models.kkt_model import ContactPoint
@@ -37,7 +37,7 @@ class ReducedConstraints:
         for constraint, rows in zip(parts.problem.constraints, self.rows.places, strict=True):
             lower, upper = constraint.bounds
             upper = float(upper if is_number(upper) else at_design(upper, named))
-            each = (reached * self.rows.unit)[rows]
+            each = reached[rows] * unit_of(constraint)
             if (boundary := boundary_of(constraint)) is not None:
                 part, nodes = contact_on(parts.space, boundary), parts.mesh_map.positions.values(point.q)
                 each = vertex_pressures(parts.space, nodes, part, point.equilibrium.normal_force)

@@ -120,7 +120,7 @@ def evaluated(function: ca.Function, points: NDArray) -> Array:
 def as_function(coefficient: Coefficient) -> ca.Function:
     """The graph ``(x, y) -> value`` of a coefficient."""
     x, y = POSITION
-    return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
+    return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))], OPEN)
 
 
 def is_number(coefficient: Coefficient | None) -> TypeGuard[float]:

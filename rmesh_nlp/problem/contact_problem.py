@@ -203,7 +203,7 @@ class ContactProblem(Shown, ProblemData):
     def with_rule(self, rule: str | int) -> ContactProblem:
         """The same problem with another quadrature rule; no check depends on it, so none is repeated."""
         other = copy(self)
-        object.__setattr__(other, "quadrature", rule)
+        vars(other).update(quadrature=rule)
         vars(other).pop("rule", None)
         return other
 
@@ -212,7 +212,7 @@ class ContactProblem(Shown, ProblemData):
         other, obstacles = copy(self), list(self.obstacles)
         for number, moved in tools.items():
             obstacles[number] = replace(obstacles[number], force=None, move=None, displacement=tuple(moved))
-        object.__setattr__(other, "obstacle", tuple(obstacles))
+        vars(other).update(obstacle=tuple(obstacles))
         for name in ("tools", "partners", "contact_sets", "first_obstacles"):
             vars(other).pop(name, None)
         return other

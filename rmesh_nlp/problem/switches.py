@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, at, evaluated, once
+from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, as_function, evaluated, once
 
 COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
 DIFFERENCE = (*COMPARED, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
@@ -56,8 +56,7 @@ def switches(coefficient: Coefficient) -> Switches | None:
     """The switches of a coefficient; None if it is smooth."""
     if not callable(coefficient):
         return None
-    position = [*POSITION]
-    graph = ca.Function("coefficient", position, [ca.densify(at(coefficient, *position))], OPEN)
+    graph = as_function(coefficient)
     each = _switches_of(graph)
     if not each:
         return None
@@ -83,7 +82,7 @@ def degree_of_pieces(coefficient: Coefficient) -> int | None:
     if not callable(coefficient):
         return 0
     try:
-        graph = ca.Function("coefficient", [*POSITION], [ca.densify(ca.SX(at(coefficient, *POSITION)))], OPEN)
+        graph = as_function(coefficient)
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
         return None  # a function of MX alone, or one that the assembly refuses with a reason
     degrees: dict[int, float] = {}

@@ -12,13 +12,8 @@ import scipy.sparse as sp
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.measures import (
-    EXPLOITS,
-    ContactResiduals,
-    equilibrium_residual,
-    law_residual,
-)
-from rmesh_nlp.contact.system import ContactSystem
+from rmesh_nlp.assessment.measures import EXPLOITS, ContactResiduals, residuals
+from rmesh_nlp.contact.system import ContactSystem, OwnState
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
@@ -174,7 +169,8 @@ SMOOTH = replace(SYSTEM, slip_bound=np.zeros(1), frictional=np.zeros(1, dtype=bo
 def law(gap: float, force: float, slip: float = 0.0, friction: float = 0.0, system: Any = SYSTEM) -> float:
     """With the largest displacement 2."""
     u = np.array([2.0, gap - 0.5, slip])
-    return law_residual(system, u, np.array([force]), np.array([friction]))
+    state = OwnState(u, np.array([force]), np.array([friction]))
+    return residuals(system, state).complementarity
 
 
 @pytest.mark.parametrize(
@@ -218,14 +214,15 @@ def test_the_worst_of_both_laws_counts() -> None:
     assert np.isnan(law(0.0, 3.0, 0.0, NAN))
     none, no_rows = np.zeros(0), sp.csr_array((0, 3))
     nothing = replace(SYSTEM, normals=no_rows, tangents=no_rows, offset=none, slip_bound=none)
-    assert law_residual(nothing, np.ones(3), none, none) == 0
+    assert residuals(nothing, OwnState(np.ones(3), none, none)).complementarity == 0
 
 
 def test_a_body_at_rest_is_measured_too() -> None:
     """Nothing moves: without gap and force the laws hold, with a force of 8 across a gap they do not."""
     for gap, force, residual in ((0.0, 0.0, 0.0), (1e-6, 8.0, 1.0)):
         rest = replace(SMOOTH, offset=np.full(1, gap))
-        assert law_residual(rest, np.zeros(3), np.full(1, force), np.zeros(1)) == pytest.approx(residual)
+        state = OwnState(np.zeros(3), np.full(1, force), np.zeros(1))
+        assert residuals(rest, state).complementarity == pytest.approx(residual)
 
 
 @pytest.mark.parametrize(
@@ -236,9 +233,8 @@ def test_a_body_at_rest_is_measured_too() -> None:
 def test_equilibrium_is_the_largest_force_out_of_balance(load, normal, friction, residual) -> None:
     """K u - F - N^T lambda - T^T tau by hand: (20 - F, 10 - lambda, 6 - tau) over F."""
     system = replace(SMOOTH if friction is None else SYSTEM, load=np.array([load, 0.0, 0.0]))
-    tau = np.array([friction or 0.0])
-    found = equilibrium_residual(system, np.array([2.0, 0.5, 0.2]), np.array([normal]), tau)
-    assert found == pytest.approx(residual, abs=1e-15)
+    state = OwnState(np.array([2.0, 0.5, 0.2]), np.array([normal]), np.array([friction or 0.0]))
+    assert residuals(system, state).equilibrium == pytest.approx(residual, abs=1e-15)
 
 
 @pytest.fixture(scope="module")
