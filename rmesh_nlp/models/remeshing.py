@@ -17,12 +17,14 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
-from rmesh_nlp.evaluation import Index, largest_side
+from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
 from rmesh_nlp.fem.metric import Metric, best_metric
 from rmesh_nlp.fem.recovery import Recovered, interpolation_error, recovered
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
+from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes.geometry import named_by_user, nodes_of, pieces_of
 from rmesh_nlp.meshes.mmg import LARGEST, remeshed
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.status import Status
@@ -30,6 +32,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import renumbered
 from rmesh_nlp.problem.lines import bent, line_facets
+from rmesh_nlp.problem.pairs import edges_of_pair, paired
 
 ROUNDS = 3
 """Rounds: with two the estimated error is 2 to 8 % larger, with more it hardly changes."""
@@ -112,8 +115,6 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     budget = budget or Budget()
     if not first.problem.has_energy:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
-    if first.problem.pairs:
-        raise BadInputError("a new mesh by Mmg does not keep the nodes of pairs of boundaries together")
     budget.check()
     current, ratio, off, done = first, float("nan"), sagitta(first.problem), list[Solved]()
     for _ in range(ROUNDS):
@@ -197,13 +198,17 @@ def _with_nodes(
 
 
 def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budget | None) -> ContactProblem:
-    """The problem on a mesh that Mmg makes for a metric at its nodes; nodes that cannot move stay."""
-    mesh, motion = problem.mesh, problem.motion
+    """The problem on a mesh that Mmg makes for a metric at its nodes; nodes that cannot move stay.
+
+    Pairs are closed for it, and open again.
+    """
+    motion, (mesh, now) = problem.motion, _closed(problem)
+    tensors = np.array([np.bincount(now, row) for row in metric.tensors]) / np.bincount(now)
     fixed = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
     numbers = np.array([*motion.numbers, *(load.node for load in problem.point_loads)], dtype=np.int64)
-    fixed, size = np.union1d(fixed, numbers), largest_side(mesh.p)
+    fixed, size = np.union1d(now[fixed], now[numbers]), largest_side(mesh.p)
     for closer in CLOSER if off else CLOSER[:1]:
-        new = remeshed(mesh, metric.tensors, line_facets(mesh), fixed, closer * off, budget)
+        new = remeshed(mesh, tensors, line_facets(mesh), fixed, closer * off, budget)
         try:
             carried = _carried_over(problem, new, numbers)
         except ProblemError as error:
@@ -215,11 +220,33 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budge
     raise BadInputError(said)
 
 
+def _closed(problem: ContactProblem) -> tuple[MeshTri, Index]:
+    """The mesh with one node in the place of the two of a pair, and the new number of each old one."""
+    mesh = problem.mesh
+    for names in problem.pairs:
+        for name, facets in named_by_user(mesh.boundaries).items():
+            if name not in names and np.isin(edges_of_pair(mesh, *names), facets).any():
+                said = f"remeshing does not tell the sides of {names[0]!r} and {names[1]!r} apart"
+                raise BadInputError(f"{said} for {name!r}: take it off their edges")
+    number = pieces_of(problem.matches, mesh.p.shape[1])
+    edges = {name: number[mesh.facets[:, facets]].T for name, facets in (mesh.boundaries or {}).items()}
+    p = mesh.p[:, np.unique(number, return_index=True)[1]]
+    return named(MeshTri(p, number[mesh.t]), edges, mesh.subdomains), number
+
+
 def _carried_over(problem: ContactProblem, new: MeshTri, numbers: Index) -> ContactProblem:
     """The problem on a new mesh, which has the nodes of the old one with these ``numbers``."""
-    _, nodes = cKDTree(new.p.T).query(problem.mesh.p[:, numbers].T)
-    number = dict(zip(numbers.tolist(), nodes.tolist(), strict=True))
-    return renumbered(problem, bent(new, problem.motion.curves), number)
+    curves = problem.motion.curves
+    new = paired(bent(new, curves), problem.obstacles, curves)[0]
+    nodes = cKDTree(_places(new)).query(_places(problem.mesh)[numbers])[1]
+    return renumbered(problem, new, dict(zip(numbers.tolist(), nodes.tolist(), strict=True)))
+
+
+def _places(mesh: MeshTri) -> Array:
+    """(nodes, 2 + names) positions, and whether a node is on each boundary: which one of a pair it is."""
+    names = sorted(named_by_user(mesh.boundaries))
+    on = (np.bincount(nodes_of(mesh, name), minlength=mesh.p.shape[1]) for name in names)
+    return np.vstack([mesh.p, *on]).T
 
 
 def sagitta(problem: ContactProblem) -> float:

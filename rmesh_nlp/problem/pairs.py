@@ -50,7 +50,8 @@ def paired(
 ) -> tuple[MeshTri, tuple[Obstacle, ...], Curves]:
     """The mesh with interfaces opened and nodes of pairs at one place, and pairs with their normals.
 
-    A curve of one boundary of a pair is one of both. A ProblemError names what cannot be paired.
+    Two names of one line inside the mesh are an interface as well. A curve of one boundary of a pair is one
+    of both. A ProblemError names what cannot be paired.
     """
     mesh, obstacles = united(mesh, obstacles)
     result, curves = list(obstacles), dict(curves)
@@ -59,11 +60,12 @@ def paired(
             continue
         first, second, place = obstacle.boundary, obstacle.other, ("contact", number)
         facets = mesh.boundaries[first]
-        if first == second:
-            second = first + BEHIND
+        if np.setxor1d(facets, mesh.boundaries[second]).size == 0:
+            second += BEHIND * (first == second)
             with contradicting(place):
-                _, sides, _ = _normal(mesh, first, curves.get(first))
-                mesh = opened(mesh, first, second, np.where(sides > 0, *mesh.f2t[:, facets]))
+                normal, sides, _ = _normal(mesh, first, curves.get(first))
+                is_front = sides * (normal @ obstacle.normal or 1.0) > 0
+                mesh = opened(mesh, first, second, np.where(is_front, *mesh.f2t[:, facets]))
         if curve := curves.get(first, curves.get(second)):
             curves |= {first: curve, second: curve}
         nodes, others = matched(mesh, first, second, place)

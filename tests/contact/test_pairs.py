@@ -19,10 +19,13 @@ from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.models.reduced_model import ReducedObjective
+from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import locally_refined
 from rmesh_nlp.solving.outer import Outer
 from support.bodies import STEEL, pressed, stacked
+from support.quality import sizes
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -326,8 +329,67 @@ def test_files_have_pairs_and_interfaces(tmp_path: Path) -> None:
     )
     problem = load_problem(tmp_path / "one.toml")
     assert problem.mesh.p.shape[1] == 30
-    with pytest.raises(BadInputError, match="pairs of boundaries"):
-        rm.solve(problem, "joint", remesh=40)
+    solution = rm.solve(problem, "nested", remesh=40, certify=True, limits=rm.Limits(iterations=1))
+    assert solution.success
+    assert solution.contact["joint"]["normal_force"] == pytest.approx(1.0, rel=1e-9)
+    assert solution.certificate is not None
+    assert solution.certificate.guaranteed_lower
+    assert solution.certificate.lower < solution.energy < solution.energy_initial
+
+
+def loaded(side: str) -> rm.ContactProblem:
+    """Two clamped blocks with a force at a node between them."""
+    mesh, pair = stacked(2, (6, 2)), rm.Obstacle.pair("top-0", "bottom-1")
+    load = rm.PointLoad(int(nodes_of(mesh, side)[3]), (0.1, -1.0))
+    return rm.ContactProblem(mesh, STEEL, ("bottom-0", "top-1"), pair, point_loads=load)
+
+
+def crossing() -> rm.ContactProblem:
+    """Three blocks: two side by side on a third one."""
+    grid = MeshTri.init_tensor(*2 * [np.linspace(-1, 1, 9)])
+    (x, y), sides = grid.p[:, grid.facets], {"low": lambda p: p[1] == -1, "high": lambda p: p[1] == 1}
+    lines = {"left": (y == 0) & (x <= 0), "right": (y == 0) & (x >= 0), "upright": (x == 0) & (y >= 0)}
+    mesh = grid.with_boundaries(sides | {name: np.flatnonzero(on.all(axis=0)) for name, on in lines.items()})
+    given, load = ("low", rm.Dirichlet("high", (0.0, None))), rm.Traction("high", (0.0, lambda x, y: x - 2))
+    return rm.ContactProblem(mesh, STEEL, given, tuple(map(rm.Obstacle.interface, lines)), tractions=load)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: bent(1, interference=lambda x, y: 1e-3 * x * (2 - x), friction=0.5),
+        lambda: cracked(-1.0, 1),
+        lambda: press_fit(2),
+        crossing,
+        lambda: loaded("top-0"),
+        lambda: loaded("bottom-1"),
+    ],
+    ids=["pair", "crack", "circles", "three bodies", "load on the first side", "load on the second side"],
+)
+def test_new_mesh_keeps_pairs_matched(make: Any) -> None:
+    given = make()
+    solved = Solved.of(given)
+    found = metric_start(solved, 250).solved
+    new = found.problem
+    assert found.state.energy < solved.state.energy
+    for part, old_part in zip(new.obstacles, given.obstacles, strict=True):
+        assert part.in_words() == old_part.in_words()
+        np.testing.assert_array_equal(*(each.normals(np.array([3.0, 4.0])) for each in (part, old_part)))
+    assert sizes(new.mesh) == pytest.approx(sizes(given.mesh), rel=3e-3)  # chords of other arcs
+    np.testing.assert_array_equal(*new.mesh.p.T[new.matches])
+    for old, load in zip(given.point_loads, new.point_loads, strict=True):
+        on = [{n for n in ("top-0", "bottom-1") if at in nodes_of(mesh, n)}
+              for mesh, at in ((given.mesh, old.node), (new.mesh, load.node))]  # fmt: skip
+        assert len(on[0]) == 1
+        assert on[0] == on[1]
+
+
+def test_boundary_on_one_side_of_a_pair_is_refused_by_a_new_mesh() -> None:
+    mesh = stacked()
+    mesh = mesh.with_boundaries({"skin": mesh.boundaries["bottom-1"][:2]})
+    with pytest.raises(BadInputError, match="sides of 'bottom-1' and 'top-0' apart for 'skin'"):
+        rm.solve(pressed(mesh), "joint", remesh=40)
 
 
 def test_press_fit_of_revolution_has_the_pressure_of_thick_rings() -> None:
