@@ -202,15 +202,15 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budge
 
     Pairs are closed for it, and open again.
     """
-    motion, (mesh, now) = problem.motion, _closed(problem)
+    mesh, now = _closed(problem)
     tensors = np.array([np.bincount(now, row) for row in metric.tensors]) / np.bincount(now)
-    fixed = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
-    numbers = np.array([*motion.numbers, *(load.node for load in problem.point_loads)], dtype=np.int64)
-    fixed, size = np.union1d(now[fixed], now[numbers]), largest_side(mesh.p)
+    pinned = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
+    numbers = [*pinned, *problem.motion.numbers, *(load.node for load in problem.point_loads)]
+    fixed, size = np.unique(now[numbers]), largest_side(mesh.p)
     for closer in CLOSER if off else CLOSER[:1]:
         new = remeshed(mesh, tensors, line_facets(mesh), fixed, closer * off, budget)
         try:
-            carried = _carried_over(problem, new, numbers)
+            carried = _carried_over(problem, new)
         except ProblemError as error:
             said = f"no problem on Mmg's mesh of {new.p.shape[1]} nodes: {error}"
             continue
@@ -222,24 +222,23 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budge
 
 def _closed(problem: ContactProblem) -> tuple[MeshTri, Index]:
     """The mesh with one node in the place of the two of a pair, and the new number of each old one."""
-    mesh = problem.mesh
-    for names in problem.pairs:
-        for name, facets in named_by_user(mesh.boundaries).items():
-            if name not in names and np.isin(edges_of_pair(mesh, *names), facets).any():
-                said = f"remeshing does not tell the sides of {names[0]!r} and {names[1]!r} apart"
-                raise BadInputError(f"{said} for {name!r}: take it off their edges")
+    mesh, boundaries = problem.mesh, named_by_user(problem.mesh.boundaries)
+    for pair in problem.pairs:
+        for name, facets in boundaries.items():
+            if name not in pair and np.isin(edges_of_pair(mesh, *pair), facets).any():
+                raise BadInputError(f"remeshing mixes the sides of {pair} for {name!r}: leave them out")
     number = pieces_of(problem.matches, mesh.p.shape[1])
-    edges = {name: number[mesh.facets[:, facets]].T for name, facets in (mesh.boundaries or {}).items()}
+    edges = {name: number[mesh.facets[:, facets]].T for name, facets in boundaries.items()}
     p = mesh.p[:, np.unique(number, return_index=True)[1]]
     return named(MeshTri(p, number[mesh.t]), edges, mesh.subdomains), number
 
 
-def _carried_over(problem: ContactProblem, new: MeshTri, numbers: Index) -> ContactProblem:
-    """The problem on a new mesh, which has the nodes of the old one with these ``numbers``."""
+def _carried_over(problem: ContactProblem, new: MeshTri) -> ContactProblem:
+    """The problem on a new mesh, which has the nodes of the old one that the problem names."""
     curves = problem.motion.curves
     new = paired(bent(new, curves), problem.obstacles, curves)[0]
-    nodes = cKDTree(_places(new)).query(_places(problem.mesh)[numbers])[1]
-    return renumbered(problem, new, dict(zip(numbers.tolist(), nodes.tolist(), strict=True)))
+    nearest = cKDTree(_places(new)).query(_places(problem.mesh))[1]
+    return renumbered(problem, new, dict(enumerate(nearest.tolist())))
 
 
 def _places(mesh: MeshTri) -> Array:

@@ -60,7 +60,7 @@ def paired(
             continue
         first, second, place = obstacle.boundary, obstacle.other, ("contact", number)
         facets = mesh.boundaries[first]
-        if np.setxor1d(facets, mesh.boundaries[second]).size == 0:
+        if set(facets) == set(mesh.boundaries[second]):
             second += BEHIND * (first == second)
             with contradicting(place):
                 normal, sides, _ = _normal(mesh, first, curves.get(first))
@@ -74,7 +74,8 @@ def paired(
             said = f"put the nodes of {second!r} on those of {first!r}, at most {far:.2g} away"
             repaired(said)
         p[:, others] = p[:, nodes]
-        mesh = mesh if np.array_equal(p, mesh.p) else replace(mesh, doflocs=p)
+        if far > 0:
+            mesh = replace(mesh, doflocs=p)
         with contradicting(place):
             normal, sides, level = _normal(mesh, first, curve)
             if np.any(sides != sides[0]):

@@ -388,7 +388,7 @@ def test_new_mesh_keeps_pairs_matched(make: Any) -> None:
 def test_boundary_on_one_side_of_a_pair_is_refused_by_a_new_mesh() -> None:
     mesh = stacked()
     mesh = mesh.with_boundaries({"skin": mesh.boundaries["bottom-1"][:2]})
-    with pytest.raises(BadInputError, match="sides of 'bottom-1' and 'top-0' apart for 'skin'"):
+    with pytest.raises(BadInputError, match=r"sides of \('bottom-1', 'top-0'\) for 'skin'"):
         rm.solve(pressed(mesh), "joint", remesh=40)
 
 
