@@ -114,6 +114,7 @@ def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
     assert row["gain_audited"] > 0
 
 
+@pytest.mark.usefixtures("estimates_unasked")
 def test_with_coulomb_friction_the_given_mesh_is_solved_and_an_objective_is_named() -> None:
     example = EXAMPLES["6.3"]((4, 2))
     rough = replace(example, obstacle=replace(example.obstacle, friction=0.0, coulomb=0.3))
