@@ -197,6 +197,6 @@ def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
                 axis.vlines(at, parts["error"], width, color=pen["color"], alpha=0.5)
         axis.minorticks_off()
         _label_in_numbers(axis)
-        axis.set(xlabel=size, ylabel="error over value")
+        axis.set(xlabel=size, ylabel="estimated error over value")
     add_legend(figure, figure.axes[:1])
     return figure
