@@ -51,11 +51,6 @@ class Admissible:
     penetration: float  # what is left of it; positive only if the repeats did not suffice
 
     @property
-    def parts(self) -> Discretisation:
-        """The discretisation on that mesh."""
-        return self.continuous.parts
-
-    @property
     def body(self) -> Body:
         """The body with that mesh."""
         return self.continuous.body
@@ -63,7 +58,7 @@ class Admissible:
     @property
     def problem(self) -> ContactProblem:
         """The problem on that mesh."""
-        return self.parts.problem
+        return self.continuous.problem
 
     @property
     def status(self) -> Status:

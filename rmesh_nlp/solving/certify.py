@@ -165,7 +165,7 @@ def _distance(u: Array, norm: float, continuous: Admissible) -> float:
     """At most that of a displacement (components, nodes) from the admissible one, in the energy norm."""
     if u.shape != continuous.displacement.shape:  # on a mesh that was refined to make room
         return norm + float(np.sqrt(2 * continuous.strain))
-    free = continuous.parts.displacement.index.T.ravel() >= 0
+    free = continuous.continuous.field.index.T.ravel() >= 0
     apart = (u - continuous.displacement).T.ravel()[free]
     return float(np.sqrt(max(apart @ (continuous.system.stiffness @ apart), 0.0)))
 
@@ -204,9 +204,10 @@ def _load_bounds(
     exact: Admissible, known: Bracket, under: Callable[[float], ContactProblem], refinements: int | None
 ) -> Bounds:
     """Bounds of the work of a load on the exact solution; ``under`` is the problem with s times that load."""
-    parts, nodes, field = exact.parts, exact.body.nodes, exact.parts.displacement
+    on = exact.continuous
+    parts, nodes, field = on.parts, on.body.nodes, on.field
     body = Body(under(1.0), nodes)
-    push = load_vector(body, DisplacementSpace(body.problem))[0] - exact.continuous.load
+    push = load_vector(body, DisplacementSpace(body.problem))[0] - on.load
     free, u = field.index.T.ravel() >= 0, exact.displacement.T.ravel()
 
     def moved(s: float) -> ContactSystem:

@@ -49,7 +49,7 @@ def attained(
     fine = last if finest is None else finest
     triangles, refined = last.problem.mesh.nelements, fine.problem.triangles
     nodes = fine.body.nodes
-    regions = recovered(fine.parts.space, nodes, fine.displacement)
+    regions = recovered(fine.continuous.space, nodes, fine.displacement)
     times = (refined.shape[1] / triangles) ** last.problem.order  # how the error falls
     error = float(np.clip(times * interpolation_error(nodes, refined, regions), *reduction.error))
     least = min(LeastErrors.of(nodes, regions, triangles).any_mesh, error)
@@ -92,7 +92,7 @@ def reduced_error(assessment: Assessment, contact_solves: int) -> ReducedError:
         return ReducedError(reduction, best)
     # the admissible displacement is no equilibrium of forces at nodes
     solved = solve(finest.system, finest.state.active)
-    fine = contact_results(finest.parts.space, finest.body.nodes, finest.system, solved)
+    fine = contact_results(finest.continuous.space, finest.body.nodes, finest.system, solved)
     return ReducedError(reduction, best, fine, tuple(worse(given.contact, final.contact, fine)))
 
 

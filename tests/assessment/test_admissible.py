@@ -45,11 +45,11 @@ def block(obstacle: Obstacle | tuple[Obstacle, ...], n: int = 3) -> ContactProbl
 
 def standoff(found: Admissible) -> np.ndarray:
     offset = found.system.offset
-    return Continuous(found.parts, found.body.nodes).system(np.zeros(offset.size)).offset - offset
+    return Continuous(found.continuous.parts, found.body.nodes).system(np.zeros(offset.size)).offset - offset
 
 
 def deepest(found: Admissible) -> float:
-    parts = penetrations(found.parts.space, found.body.nodes, found.displacement)
+    parts = penetrations(found.continuous.space, found.body.nodes, found.displacement)
     return max(part.depth for part in parts)
 
 
@@ -141,11 +141,11 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
     found = admissible(replace(block(obstacles), tractions=(load,), order=order))
     system, state = found.system, found.state
     assert np.any(standoff(found) > 1e-12)
-    for part in found.parts.space.contact_sets:
+    for part in found.continuous.space.contact_sets:
         assert np.max(state.normal_force[part.rows]) > 1
     # the stiffness of the springs, a million times that of the body, takes digits from what they press
     assert residuals(system, state).equilibrium < 1e-6
-    if np.any(system.frictional):
+    if np.any(system.slip_bound):
         assert np.all(np.abs(state.tangential_force) <= system.slip_bound * (1 + 1e-9))
         slides = state.active.sliding != 0
         assert np.any(slides)

@@ -123,22 +123,25 @@ def test_quantities_count_nodes_that_press() -> None:
     normal[order], tangential[order] = force, sideways
     active = ActiveSet(normal > 0, np.zeros(5, dtype=np.int8))
     state = Equilibrium(found.state.u, 0.0, normal, tangential, active, Status.CONVERGED, 1)
-    (values,) = contact_results(found.parts.space, problem.mesh.p, found.system, state).values()
+    (values,) = contact_results(found.continuous.space, problem.mesh.p, found.system, state).values()
     assert vars(values) == pytest.approx(vars(ContactResult(9.0, 12.0, 12.0, 1.0, 12.0, 9.0, 10.0)))
     free = ContactProblem(problem.mesh, LAW, ("left",))
     alone = admissible(free)
-    assert not contact_results(alone.parts.space, free.mesh.p, alone.system, alone.state)
+    assert not contact_results(alone.continuous.space, free.mesh.p, alone.system, alone.state)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
 def test_the_resultant_is_what_presses_the_body_without_friction(example, n, order) -> None:
     found = admissible(replace(EXAMPLES[example](n), order=order))
-    (values,) = contact_results(found.parts.space, found.body.nodes, found.system, found.state).values()
+    (values,) = contact_results(found.continuous.space, found.body.nodes, found.system, found.state).values()
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
     pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
-    (part,), forces = found.parts.space.contact_sets, (found.state.normal_force, found.state.tangential_force)
-    at_nodes = nodal_forces(found.parts.space, found.body.nodes, part, *forces)
+    (part,), forces = (
+        found.continuous.space.contact_sets,
+        (found.state.normal_force, found.state.tangential_force),
+    )
+    at_nodes = nodal_forces(found.continuous.space, found.body.nodes, part, *forces)
     shared = np.delete(at_nodes, part.nodes, axis=1).sum(axis=1)
     pressed, rubbed = pressed + shared[0], rubbed + shared[1]
     assert bool(np.any(shared)) is (example == "6.3")
