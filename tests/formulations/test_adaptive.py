@@ -129,6 +129,7 @@ def test_command_prints_estimates_and_a_row_for_each_mesh(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("estimates_unasked")
 def test_meshes_are_drawn_compared_and_shown_as_they_come(body: rm.ContactProblem) -> None:
     told = list[Step]()
     rows = [
