@@ -285,12 +285,5 @@ class _Summed(PythonFunction):
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:
     """A function of the unknowns ``x``: what each element of each group adds to the objective."""
-    evaluate = [columnwise(group.plain, group.size) for group in groups]
-
-    def values(x: Array) -> list[Array]:
-        by_group = []
-        for columns, group in zip(evaluate, groups, strict=True):
-            by_group.append(columns([field.values(x) for field in group.arguments])[0].ravel())
-        return by_group
-
-    return values
+    each = [(columnwise(group.plain, group.size), group.arguments) for group in groups]
+    return lambda x: [columns([field.values(x) for field in given])[0].ravel() for columns, given in each]

@@ -35,19 +35,11 @@ from rmesh_nlp.problem.body import determinants
 Density = Callable[[Expression, Expression], Expression]
 
 
-def _shape(s: Expression, det: Expression) -> Expression:
-    return s / (2 * det) - 1
-
-
-def _shape_and_size(s: Expression, det: Expression) -> Expression:
-    return _shape(s, det) + (det + 1 / det - 2) / 2
-
-
-def _elastic(s: Expression, det: Expression) -> Expression:
-    return s * (1 + 1 / det**2) / 4 - 1
-
-
-DISTORTIONS: dict[str, Density] = {"quality": _shape, "shape-size": _shape_and_size, "elastic": _elastic}
+DISTORTIONS: dict[str, Density] = {
+    "quality": lambda s, det: s / (2 * det) - 1,
+    "shape-size": lambda s, det: s / (2 * det) - 1 + (det + 1 / det - 2) / 2,
+    "elastic": lambda s, det: s * (1 + 1 / det**2) / 4 - 1,
+}
 """Densities by the name that they have in objectives, as functions of ``|A|^2`` and ``det A``.
 
 They are linear in the first one.

@@ -69,10 +69,6 @@ class Modes:
         """What is added."""
         return np.tensordot(self.amplitudes.values(w)[0], self.motions, 1)
 
-    def picked(self, pick: Callable[[NDArray], NDArray]) -> Modes:
-        """Those of some values of the field."""
-        return Modes(self.amplitudes, np.stack([pick(motion) for motion in self.motions]))
-
 
 @dataclass(frozen=True)
 class Field:
@@ -124,9 +120,9 @@ class Field:
         shape = self.shape[0] * len(nodes), nodes.shape[1]
         return self._picked(lambda a: a[:, nodes].swapaxes(0, 1).reshape(shape))
 
-    def component(self, number: int) -> Field:
-        """One component as a field of its own."""
-        return self._picked(lambda a: a[number : number + 1])
+    def component(self, number: int, size: int = 1) -> Field:
+        """One component, or some from a number on, as a field of its own."""
+        return self._picked(lambda a: a[number : number + size])
 
     def elements(self, chosen: Index) -> Field:
         """Some columns of a field of local values."""
@@ -134,12 +130,8 @@ class Field:
 
     def _picked(self, pick: Callable[[NDArray], NDArray]) -> Field:
         bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
-        modes = self.modes and self.modes.picked(pick)
+        modes = self.modes and Modes(self.modes.amplitudes, np.stack([*map(pick, self.modes.motions)]))
         return Field(pick(self.index), pick(self.scale), pick(self.offset), self.source, bends, modes)
-
-    def straight(self) -> Field:
-        """The affine field behind it."""
-        return replace(self, bends=None, modes=None)
 
     def numbered_from(self, first: int) -> Field:
         """The same field, its unknowns numbered from ``first`` instead of from zero."""

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, located
 from rmesh_nlp.evaluation import Array, Index, is_finite
 from rmesh_nlp.fem.cells import Straight, affine, shape_functions
 from rmesh_nlp.fem.element import NO_ROWS
@@ -28,8 +28,6 @@ from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.reach import corners, least_areas
 from rmesh_nlp.problem import signed_areas
-
-__all__ = ["fit", "fit_file"]
 
 WITHIN = 1e-6
 """Barycentric coordinates above minus this are in a triangle: files have a few digits."""
@@ -98,28 +96,23 @@ def read_measurements(path: Path) -> Measurements:
             lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BadInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    names = [cell.strip() for cell in lines[0][1]] if lines else []
-    own = ("u",) if "u" in names else ("ux", "uy")
-    if set(names) - {"weight"} != {"x", "y", *own} or len(set(names)) < len(names):
-        raise BadInputError(
-            f"{path}: expected the columns x, y, u or ux, uy, and perhaps weight, got {names}"
-        )
-    table = {name: np.full(len(lines) - 1, np.nan) for name in names}
-    for k, (line, row) in enumerate(lines[1:]):
-        if len(row) != len(names):
-            raise BadInputError(f"{path}: line {line} has {len(row)} cells, expected {len(names)}")
-        for name, cell in zip(names, row, strict=True):
-            try:
-                table[name][k] = float(cell) if cell.strip() or name not in own else np.nan
-            except ValueError:
-                what = f"line {line}: {name} = {cell.strip()!r}"
-                raise BadInputError(f"{path}: {what} is not a number") from None
-    weights = table.get("weight", np.ones(len(lines) - 1))
-    try:
-        points = np.stack([table["x"], table["y"]])
-        return Measurements(points, np.stack([table[name] for name in own]), weights)
-    except ValueError as error:
-        raise BadInputError(f"{path}: {error}") from None
+    with located(path):
+        names = [cell.strip() for cell in lines[0][1]] if lines else []
+        own = ("u",) if "u" in names else ("ux", "uy")
+        if set(names) - {"weight"} != {"x", "y", *own} or len(set(names)) < len(names):
+            raise ValueError(f"expected the columns x, y, u or ux, uy, and perhaps weight, got {names}")
+        table = {name: np.full(len(lines) - 1, np.nan) for name in names}
+        for k, (line, row) in enumerate(lines[1:]):
+            if len(row) != len(names):
+                raise ValueError(f"line {line} has {len(row)} cells, expected {len(names)}")
+            for name, cell in zip(names, row, strict=True):
+                try:
+                    table[name][k] = float(cell) if cell.strip() or name not in own else np.nan
+                except ValueError:
+                    raise ValueError(f"line {line}: {name} = {cell.strip()!r} is not a number") from None
+        weights = table.get("weight", np.ones(len(lines) - 1))
+        values = np.stack([table[name] for name in own])
+        return Measurements(np.stack([table["x"], table["y"]]), values, weights)
 
 
 def _objective(measured: Callable[[], Measurements], name: str) -> Objective:

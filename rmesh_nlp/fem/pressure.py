@@ -30,8 +30,6 @@ from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
 
-__all__ = ["contact_length", "largest_pressure", "level_pressure", "peak_pressure", "resultant", "shear"]
-
 
 def level_pressure(boundary: str, *, name: str = "level pressure") -> Objective:
     """The integral of ``(p - mean p)^2``, the mean over the contact boundary: zero for a uniform pressure.

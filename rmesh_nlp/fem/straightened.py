@@ -28,7 +28,8 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
         part = group.some(np.flatnonzero(member.ravel() == number))
         if moved or np.any(sort != NONE):
             part = _composed(part, np.split(sort, lengths))
-        result.append(replace(part, arguments=tuple(field.straight() for field in part.arguments)))
+        arguments = (replace(field, bends=None, modes=None) for field in part.arguments)
+        result.append(replace(part, arguments=tuple(arguments)))
     return result
 
 

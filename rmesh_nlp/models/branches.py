@@ -21,7 +21,7 @@ loads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -73,7 +73,8 @@ class Branches:
 
     def __call__(self, point: ContactPoint) -> BranchLabel:
         """The label at a contact solution."""
-        at, still = self._conditions.at(point).over_branches(ZERO), np.zeros(point.q.size)
+        # pairs are biactive if both members are at most zero, whatever was active
+        at, still = replace(self._conditions.at(point), held=None, zero=ZERO), np.zeros(point.q.size)
         reduced = _reduced(at, self._tolerance, self._unit)
         if reduced is None:
             return BranchLabel("", None, 0.0, still, np.zeros(0, dtype=np.int64))

@@ -44,8 +44,6 @@ class Relocation:
         friction.
     validity : Validity
         The validity rows by themselves; none where a barrier stands in their place.
-    position_groups : tuple of ElementGroup
-        Of the terms of the objective in the positions alone.
     length : float
         Unit of displacements, slips and gaps in ``x`` and the rows.
     """
@@ -57,7 +55,6 @@ class Relocation:
     slip: Field
     validity: Validity
     objective: Objective = ENERGY
-    position_groups: tuple[ElementGroup, ...] = ()
     length: float = 1.0
 
     @cached_property
@@ -144,11 +141,10 @@ def relocation(
     displacement = parts.displacement.in_units(length).numbered_from(free.n)
     slip = parts.slip.in_units(length).numbered_from(free.n + n_u)
     fields = Fields(parts.space, free.positions, displacement, slip)
-    position_groups = objective.in_positions.on(fields).groups
     rows = [*gaps(fields), *slips(fields, n_contact)]
     if length != 1:
         rows = [group.in_units(length) for group in rows]
-    groups = (*energy(fields), *position_groups, *rows)
+    groups = (*energy(fields), *objective.in_positions.on(fields).groups, *rows)
     return Relocation(
         parts,
         ca.MX.sym("x", free.n + n_u + n_s),
@@ -157,6 +153,5 @@ def relocation(
         slip,
         validity,
         objective,
-        tuple(position_groups),
         length,
     )

@@ -35,7 +35,7 @@ from rmesh_nlp.fem.contact_terms import (
     slips,
 )
 from rmesh_nlp.fem.energy import loads, strain
-from rmesh_nlp.fem.fields import Field, unknown_field
+from rmesh_nlp.fem.fields import unknown_field
 from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -213,7 +213,7 @@ def bilevel(
     first_of = len(outer.sums)
     for row, functional in enumerate(constraints.values):
         if functional.sums:
-            own = _part(of_sums, first_of, len(functional.sums))
+            own = of_sums.component(first_of, len(functional.sums))
             groups.append(as_row(functional.combined(own), first + row))
             first_of += len(functional.sums)
     groups.append(parts.validity.upright_group.shifted(rows["areas"].start))
@@ -225,15 +225,9 @@ def bilevel(
         groups.append(identity_group(unknowns[name].start, numbers))
     of_outer = outer.groups
     if outer.sums:
-        of_outer = [*of_outer, outer.combined(_part(of_sums, 0, len(outer.sums)))]
+        of_outer = [*of_outer, outer.combined(of_sums.component(0, len(outer.sums)))]
     groups += [scaled_group(group, 1 / value) for group in of_outer]
 
     x = ca.MX.sym("x", unknowns.size + n_sums)
     assembled = Assembled(groups, x, ca.MX(0, 1), rows.size)
     return Bilevel(parts, assembled, length, force, value, summed, sums, constraints, x, rows)
-
-
-def _part(field: Field, first: int, size: int) -> Field:
-    """Some of the sums (m, 1)."""
-    rows = slice(first, first + size)
-    return Field(field.index[rows], field.scale[rows], field.offset[rows])

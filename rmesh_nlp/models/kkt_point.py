@@ -16,14 +16,14 @@ has a part for each (:mod:`rmesh_nlp.models.branches`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, RotatedSystem
+from rmesh_nlp.contact.system import ActiveSet, RotatedSystem
 from rmesh_nlp.evaluation import Array, Block, Index, Mask, Symmetric, is_finite
 from rmesh_nlp.fem.assembly import Sums
 from rmesh_nlp.models.kkt_model import Bilevel, ContactPoint
@@ -50,7 +50,10 @@ class KKTConditions:
             x = self.program.point(point)
             (value,), slope, rows, nonzeros = self.program.assembled.first(x, None)
             jacobian = sp.csr_array(self._block(nonzeros))
-            held = held_by(self.program, point.equilibrium.active)
+            active, rows_of_friction = point.equilibrium.active, self.program.parts.friction_rows
+            sliding = active.sliding[rows_of_friction]
+            # contact, stick, one side of what slides
+            held = np.concatenate([active.touching, sliding >= 0, sliding <= 0])
             self._last = KKTPoint(self, point, x, float(value), slope, rows, jacobian, held)
         return self._last
 
@@ -114,10 +117,6 @@ class KKTPoint:
     held: Mask | None
     zero: float = 0.0
 
-    def over_branches(self, zero: float) -> KKTPoint:
-        """The same with pairs that are biactive if both members are at most ``zero``, whatever was active."""
-        return replace(self, held=None, zero=zero)
-
     @property
     def program(self) -> Bilevel:
         """The KKT model."""
@@ -125,8 +124,36 @@ class KKTPoint:
 
     @cached_property
     def members(self) -> tuple[Mask, Mask]:
-        """Of which pairs G is held, else H; and which pairs are biactive."""
-        return held_members(self.program, self.contact.system, self.rows, self.zero, self.held)
+        """Which members of the pairs determine the contact solution, and which pairs are biactive.
+
+        The first is True where G is held, else H is; with them the KKT conditions are a regular system.
+        Without ``held`` it is the smaller member, and G of biactive pairs: contact, and stick. Three kinds of
+        pairs look biactive and are not, because their other member has no effect: where displacements are
+        given in the direction of a gap or slip; at nodes that carry no friction at all, whose slip variable s
+        is ``|u_t|`` by convention; and where friction sets in with the contact force at a node that slides,
+        whose one condition of its own is the contact pair.
+        """
+        program, system, zero = self.program, self.contact.system, self.zero
+        G, H = self.rows[program.rows["G"]], self.rows[program.rows["H"]]
+        gaps, minus, plus = program.parts.pairs.places.values()
+        friction_rows = program.parts.friction_rows
+        moves = np.diff(system.normals.indptr) > 0
+        turns = np.diff(system.tangents.indptr)[friction_rows] > 0
+        zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
+        biactive = zero_G & zero_H & (zero >= G)
+        held = np.array(zero_G if self.held is None else self.held)
+        held[gaps] &= moves
+        biactive[gaps] &= moves
+        is_open = ~held[gaps][friction_rows]
+        slips = np.abs(G[plus] - G[minus]) > zero
+        bare = H[minus] + H[plus] <= zero  # no friction
+        one_sided = ~turns | (bare & (is_open | slips))
+        forward = G[minus] <= G[plus]
+        held[minus] = np.where(one_sided, forward, held[minus])
+        held[plus] = np.where(one_sided, ~forward, held[plus])
+        biactive[minus] &= ~one_sided
+        biactive[plus] &= ~one_sided
+        return held, biactive
 
     @cached_property
     def pairs(self) -> Index:
@@ -204,43 +231,3 @@ class KKTPoint:
             return self.along(change, self.multipliers(change)).T
 
         return Hessian(lagrangian[:n_q, :n_q], program.parts.mesh_map.n_positions, products)
-
-
-def held_by(program: Bilevel, active: ActiveSet) -> Mask:
-    """The pairs whose first member an active set holds at zero: contact, stick, one side of what slides."""
-    sliding = active.sliding[program.parts.friction_rows]
-    return np.concatenate([active.touching, sliding >= 0, sliding <= 0])
-
-
-def held_members(
-    program: Bilevel, system: ContactSystem, rows: Array, zero: float, held: Mask | None
-) -> tuple[Mask, Mask]:
-    """Which members of the pairs determine the contact solution, and which pairs are biactive.
-
-    The first is True where G is held, else H is; with them the KKT conditions are a regular system. Without
-    ``held`` it is the smaller member, and G of biactive pairs: contact, and stick. Three kinds of pairs look
-    biactive and are not, because their other member has no effect: where displacements are given in the
-    direction of a gap or slip; at nodes that carry no friction at all, whose slip variable s is ``|u_t|`` by
-    convention; and where friction sets in with the contact force at a node that slides, whose one condition
-    of its own is the contact pair.
-    """
-    G, H = rows[program.rows["G"]], rows[program.rows["H"]]
-    gaps, minus, plus = program.parts.pairs.places.values()
-    friction_rows = program.parts.friction_rows
-    moves, turns = np.diff(system.normals.indptr) > 0, np.diff(system.tangents.indptr)[friction_rows] > 0
-    zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
-    biactive = zero_G & zero_H & (zero >= G)
-    held = np.array(zero_G if held is None else held)
-    held[gaps] &= moves
-    biactive[gaps] &= moves
-    if friction_rows.size:
-        is_open = ~held[gaps][friction_rows]
-        slips = np.abs(G[plus] - G[minus]) > zero
-        bare = H[minus] + H[plus] <= zero  # no friction
-        one_sided = ~turns | (bare & (is_open | slips))
-        forward = G[minus] <= G[plus]
-        held[minus] = np.where(one_sided, forward, held[minus])
-        held[plus] = np.where(one_sided, ~forward, held[plus])
-        biactive[minus] &= ~one_sided
-        biactive[plus] &= ~one_sided
-    return held, biactive

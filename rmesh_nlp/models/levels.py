@@ -12,13 +12,13 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.evaluation import ROUNDING, Array, Index, cross, magnitude
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, magnitude
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
-from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.body import Body, gradients
 from rmesh_nlp.problem.contact_problem import renumbered
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
 from rmesh_nlp.problem.rigid import rigid_motions
@@ -157,11 +157,7 @@ def located(nodes: Array, triangles: NDArray, points: Array) -> tuple[Index, Arr
 
 
 def _barycentric(corner: Array, point: Array) -> Array:
-    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
-
-    whole = cross(b - a, c - a)
-    parts = [cross(b - point, c - point), cross(c - point, a - point), cross(a - point, b - point)]
-    return np.stack(parts) / whole
+    return 1 / 3 + np.einsum("vd...,d...->v...", gradients(corner), point - corner.mean(axis=1))
 
 
 def prolonged(coarse_nodes: Array, coarse_triangles: NDArray, shift: Array, fine: Discretisation) -> Array:

@@ -17,7 +17,6 @@ from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array, Block
-from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.models.energy_nlp import relocation
@@ -63,7 +62,7 @@ class ReducedEnergy:
         self._last: ContactPoint | None = None
         rel = self.relocation
         self._rows = Block(rel.assembled.first.pattern, columns=slice(0, rel.parts.n_q))
-        self._position_terms = element_values(rel.position_groups)
+        self._position_terms = objective.in_positions.on(model.discretisation.fields()).evaluate()
 
     @property
     def energy(self) -> ReducedEnergy:
@@ -77,8 +76,7 @@ class ReducedEnergy:
 
     def of_positions(self, q: Array) -> float:
         """The terms of the objective in the positions alone; NaN where they are not defined."""
-        x = np.concatenate([q, np.zeros(self.relocation.unknowns.size - q.size)])
-        return float(sum(values.sum() for values in self._position_terms(x)))
+        return self._position_terms(q)
 
     @property
     def start(self) -> ContactPoint:

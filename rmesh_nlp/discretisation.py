@@ -1,17 +1,19 @@
 """The discretisation of a problem: what its contact solver and all its models are made of.
 
 Unknowns of each kind (outer variables q, displacements u, slips s, contact forces) are numbered from zero; a
-model puts them one after the other (:class:`~rmesh_nlp.discretisation.numbering.Numbering`).
+model puts them one after the other (:class:`Numbering`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rmesh_nlp.discretisation.numbering import Numbering
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.contact_terms import gap_field, slip_field
 from rmesh_nlp.fem.energy import displacement_field
@@ -21,6 +23,29 @@ from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class Numbering:
+    """Parts of a vector one after the other: ``Numbering(q=3, u=5)["u"]`` is ``slice(3, 8)``."""
+
+    def __init__(self, **sizes: int) -> None:
+        self.sizes = sizes
+        self._ends = np.cumsum([0, *sizes.values()]).tolist()
+        self.places = dict(zip(sizes, (slice(*ends) for ends in pairwise(self._ends)), strict=True))
+
+    @property
+    def size(self) -> int:
+        """Number of entries of all parts."""
+        return self._ends[-1]
+
+    def __getitem__(self, name: str) -> slice:
+        return self.places[name]
+
+    def split(self, values: NDArray[Scalar]) -> list[NDArray[Scalar]]:
+        """The parts of a vector, or of the rows of a matrix."""
+        return [values[place] for place in self.places.values()]
 
 
 @dataclass(frozen=True)
@@ -59,27 +84,6 @@ class Discretisation:
     n_s: int
     friction_rows: Index
     floats: bool
-
-    @classmethod
-    def of(cls, problem: ContactProblem) -> Discretisation:
-        """That of a problem."""
-        space, mesh_map = DisplacementSpace(problem), MeshMap.of(problem)
-        displacement, n_u = displacement_field(space)
-        friction_rows = np.flatnonzero(space.frictional)
-        return cls(
-            problem,
-            space,
-            mesh_map,
-            displacement,
-            slip_field(space),
-            gap_field(space),
-            mesh_map.n,
-            n_u,
-            space.contact_nodes.size,
-            friction_rows.size,
-            friction_rows,
-            rigid_motions(problem).size > 0,
-        )
 
     @cached_property
     def unknowns(self) -> Numbering:
@@ -138,4 +142,22 @@ class Discretisation:
 
 def discretise(problem: ContactProblem | Discretisation) -> Discretisation:
     """The discretisation of a problem; one that is given is handed on as it is."""
-    return problem if isinstance(problem, Discretisation) else Discretisation.of(problem)
+    if isinstance(problem, Discretisation):
+        return problem
+    space, mesh_map = DisplacementSpace(problem), MeshMap.of(problem)
+    displacement, n_u = displacement_field(space)
+    friction_rows = np.flatnonzero(space.frictional)
+    return Discretisation(
+        problem,
+        space,
+        mesh_map,
+        displacement,
+        slip_field(space),
+        gap_field(space),
+        mesh_map.n,
+        n_u,
+        space.contact_nodes.size,
+        friction_rows.size,
+        friction_rows,
+        rigid_motions(problem).size > 0,
+    )
