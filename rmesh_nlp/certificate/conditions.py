@@ -29,7 +29,7 @@ from rmesh_nlp.evaluation import PROVED, Array, Index, Mask, magnitude, numbers_
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Edges
-from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.coefficients import Coefficient, on_points, product
 from rmesh_nlp.problem.enclosures import resolved
 from rmesh_nlp.problem.pairs import edges_of_pair
 
@@ -106,7 +106,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
         is_certain &= gap.is_certain and is_seen(obstacle.clearance, edges)
         if n == 2:
-            below, known = _linear_below(obstacle.friction_law.given, edges)
+            below, known = _linear_below(product(problem.measure, obstacle.friction_law.given), edges)
             friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
             coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, edges, degree).T
             is_certain &= known

@@ -17,16 +17,17 @@ is found. There are two:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.linalg
 
-from rmesh_nlp.certificate.polynomials import elevation, mass, powers, raised
+from rmesh_nlp.certificate.polynomials import bernstein, elevation, powers, raised
 from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, edge_normals
 from rmesh_nlp.evaluation import Array, Index, cross
-from rmesh_nlp.fem.bernstein import functions, to_coefficients
+from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
+from rmesh_nlp.problem.quadrature import triangle_rule
 
 Point = tuple[float, ...]
 """Barycentric coordinates."""
@@ -49,11 +50,6 @@ class Pieces:
     def shares(self) -> Array:
         """(parts,) areas of the parts of a triangle of area 1."""
         return np.linalg.det(self.corners)
-
-    @cached_property
-    def mass(self) -> Array:
-        """(parts, functions, functions) integrals of products of functions, on a triangle of area 1."""
-        return self.shares[:, None, None] * mass(self.degree + 1, self.degree + 1, 3)
 
     @cached_property
     def linear(self) -> Array:
@@ -148,6 +144,8 @@ class Element:
     pieces: Pieces
     free: Array  # without divergence
     loaded: Array  # for each function of degree k and each component that whose divergence it is
+    hoop: Array  # of a body of revolution hoop stresses of degree k
+    weight: int = 0  # degree of what energies are weighted by
 
     @classmethod
     def among(cls, pieces: Pieces, free: Array, loaded: Array) -> Element:
@@ -169,18 +167,41 @@ class Element:
         wanted = np.vstack([loads, np.zeros((len(rows) - len(loads), loads.shape[1]))])
         first = np.linalg.pinv(rows) @ wanted
         rest = np.linalg.pinv(conditions(loaded)) @ (wanted - rows @ first)
-        return cls(pieces, free @ scipy.linalg.null_space(rows), free @ first + loaded @ rest)
+        own = free @ scipy.linalg.null_space(rows)
+        return cls(pieces, own, free @ first + loaded @ rest, own[..., :0])
+
+    @cached_property
+    def of_revolution(self) -> Element:
+        """The same for r times a flux, or for r times a stress and the hoop stress, the last value."""
+        pieces, hoops = self.pieces, len(self.pieces.matrix) - 1
+        wider = (0, 0), (0, 0), (0, hoops)
+        free, loaded = (np.pad(part, (*wider, (0, 0))) for part in (self.free, self.loaded))
+        hoop = np.zeros((*free.shape[:3], hoops * size(pieces.degree, 3)))
+        hoop[:, :, 3:] = (elevation(pieces.degree + 1, 3) @ pieces.restriction)[:, :, None, : hoop.shape[3]]
+        return Element(replace(pieces, matrix=np.pad(pieces.matrix, wider)), free, loaded, hoop, 4)
 
     @cached_property
     def basis(self) -> Array:
-        """All of them, the free ones first."""
-        return np.concatenate([self.free, self.loaded], axis=3)
+        """All of them, the free ones first and the loaded ones last."""
+        return np.concatenate([self.free, self.hoop, self.loaded], axis=3)
+
+    @cached_property
+    def mass(self) -> Array:
+        """(m, parts, functions, functions) of Lagrange's polynomials of weights times two functions.
+
+        On a triangle of area 1.
+        """
+        pieces, degree = self.pieces, self.pieces.degree + 1
+        (shares, weights), lattice = triangle_rule(2 * degree + self.weight), powers(self.weight, 3).T
+        at_nodes, values = bernstein(self.weight, lattice / max(self.weight, 1)), bernstein(degree, shares)
+        weighting = [bernstein(self.weight, corners.T @ shares) * weights for corners in pieces.corners]
+        products = np.einsum("pmq,fq,gq->mpfg", weighting, values, values) * pieces.shares[:, None, None]
+        return np.tensordot(np.linalg.inv(at_nodes), products, 1)
 
     @cached_property
     def products(self) -> Array:
-        """(values^2, n^2) integrals of products of values of two functions, on a triangle of area 1."""
-        M = self.pieces.mass
-        of_values = np.einsum("pfak,pfg,pgbl->abkl", self.basis, M, self.basis, optimize=True)
+        """(m values^2, n^2) integrals of products of values of two functions, on a triangle of area 1."""
+        of_values = np.einsum("pfak,mpfg,pgbl->mabkl", self.basis, self.mass, self.basis, optimize=True)
         return of_values.reshape(-1, self.basis.shape[3] ** 2)
 
     @cached_property

@@ -26,12 +26,14 @@ from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
 from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import Loads, body_forces
+from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.fem.stress import strain_energies
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 
@@ -103,9 +105,11 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
 
     Raises NotCertifiableError for a kind of problem for which no field in equilibrium is known.
     """
-    if any(law.varies for law in problem.laws):
+    if any(law.varies and not law.axisymmetric for law in problem.laws):
+        raise NotCertifiableError("of a law whose energy varies no stress in equilibrium is known")
+    if np.any(problem.on_axis):
         raise NotCertifiableError(
-            "of a body of revolution r times the stress is in equilibrium: no element has it"
+            "a body of revolution that meets its axis has none: r times its stress is 0 there"
         )
     if problem.origin is not None and problem.frictional:
         raise NotCertifiableError("friction counts slip from an earlier load step")
@@ -113,24 +117,33 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         raise NotCertifiableError("the energy under a point load has no lower bound")
     conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
     element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
-    computed = of_displacement(element, law, skeleton, guess.displacement)
+    u = guess.displacement
+    start = 0 * u if problem.axisymmetric else u  # r times a hoop strain is no polynomial
+    computed = of_displacement(element, law, skeleton, start)
     lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
     fields = TraceFields(element, skeleton, law, lacking, inside.elements.size > 0)
-    balanced = balance(hybrid(conditions, fields, computed, guess.displacement), guess)
+    balanced = balance(hybrid(conditions, fields, computed, start), guess)
     correction = fields.of_traces(balanced.traces)
     field = computed + correction
     pushing = load.balanced.copy()
     pushing[0][:, inside.elements] += inside.sign * balanced.inside
-    defect = np.sqrt(2 * fields.energy(correction))
-    mean = fields.mean(field)
-    variation = np.sqrt(2 * fields.energy(field - mean))
+    mean, forces, energy = fields.mean(field), fields.forces(field), fields.energy(field)
+    if problem.axisymmetric:
+        strain = strain_energies(problem, skeleton.nodes, DisplacementSpace(problem).values(u))
+        traces = balanced.assembled.by_element(balanced.assembled.of_displacement(u))[:, : len(forces.T)]
+        within = moments(u[:, skeleton.displaced], conditions.degree, 3) * skeleton.areas
+        work = np.sum(forces * traces, axis=1) + np.sum(pushing * within, axis=(0, 1))
+        variation = defect = np.sqrt(2 * np.maximum(energy + strain - work, 0.0))
+    else:
+        strain, defect = fields.energy(computed), np.sqrt(2 * fields.energy(correction))
+        variation = np.sqrt(2 * fields.energy(field - mean))
     return EquilibratedField(
-        mean=mean,
-        computed=fields.energy(computed),
-        energy=fields.energy(field),
+        mean=mean[: len(u) + 1] / problem.measured(skeleton.corners.mean(axis=1)),
+        computed=strain,
+        energy=energy,
         defect=defect,
         variation=np.minimum(variation, defect),
-        forces=fields.forces(field),
+        forces=forces,
         balance=balanced,
         residual=fields.imbalance(field, pushing),
         fields=fields,

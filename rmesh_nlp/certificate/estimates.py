@@ -278,8 +278,10 @@ def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """Estimates by a field in equilibrium; a NotCertifiableError where none is known."""
     problem, state = on.problem, on.state
-    if problem.motion.curves:
-        raise NotCertifiableError("the body has curves")
+    if problem.motion.curves or problem.axisymmetric:
+        raise NotCertifiableError(
+            "the body has curves, or r times a stress of a displacement is no polynomial"
+        )
     skeleton = on.skeleton
     stresses = contact_stresses(on.space, on.nodes, state.normal_force, state.tangential_force)
     field = equilibrated(problem, skeleton, Guess(on.u, *stresses))

@@ -19,6 +19,7 @@ import numpy as np
 from rmesh_nlp.certificate.element import Element
 from rmesh_nlp.certificate.johnson_mercier import johnson_mercier
 from rmesh_nlp.certificate.oscillation import korn
+from rmesh_nlp.certificate.polynomials import elevation, powers
 from rmesh_nlp.certificate.raviart_thomas import raviart_thomas
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array, magnitude
@@ -27,27 +28,46 @@ from rmesh_nlp.problem import ContactProblem
 
 def element_of(problem: ContactProblem) -> Element:
     """The element whose fields are as exact as the displacement."""
-    return raviart_thomas(problem.order) if problem.components == 1 else johnson_mercier(problem.order)
+    plane = raviart_thomas(problem.order) if problem.components == 1 else johnson_mercier(problem.order)
+    return plane.of_revolution if problem.axisymmetric else plane
 
 
 class Law(NamedTuple):
-    """The material of each triangle; strains are gradients, or xx, yy and twice xy."""
+    """The material of each triangle; strains are gradients, or xx, yy, twice xy and if any hoop."""
 
     stiffness: Array  # (values, values, elements), fields by strains
-    compliance: Array  # its inverse
+    compliance: Array  # (values, values, m, elements), its inverse at the nodes of weights, times these
     gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
 
 
 def law_of(problem: ContactProblem, skeleton: Skeleton) -> Law:
     """The law of a problem on its triangles."""
-    values, count = problem.components + 1, skeleton.areas.size
-    stiffness, compliance = np.zeros((2, values, values, count))
-    gradient_by_energy, factor = np.zeros(count), None if problem.components == 1 else korn(skeleton)
+    corners, values = skeleton.corners, len(problem.laws[0].compliance)
+    least = (problem.measured(corners) + 0 * corners[0]).min(axis=0)
+    weights = _weights(corners[0], values) if problem.axisymmetric else np.ones((1, 1, 1, least.size))
+    stiffness, compliance = (
+        np.zeros((values, values, least.size)),
+        np.zeros((values, values, *weights.shape[2:])),
+    )
+    gradient_by_energy = np.ones(least.size) if problem.components == 1 else korn(skeleton)
     for law, part in problem.regions:
-        direct, inverse = law.stiffness, law.compliance
-        gradient_by_energy[part] = (1.0 if factor is None else factor[part]) / np.sqrt(law.least_modulus)
-        stiffness[:, :, part], compliance[:, :, part] = direct[:, :, None], inverse[:, :, None]
+        gradient_by_energy[part] /= np.sqrt(law.least_modulus * least[part])
+        stiffness[:, :, part] = law.stiffness[:, :, None]
+        compliance[..., part] = law.compliance[:, :, None, None] * weights[..., part]
     return Law(stiffness, compliance, gradient_by_energy)
+
+
+def _weights(r: Array, values: int) -> Array:
+    """(values, values, 15, elements) of energies of r times stresses and hoop stresses, by r (3, elements).
+
+    Those of two stresses have 1 / r from above, a polynomial p of degree 4: with r_0 the least r, and the
+    zeros of Chebyshev's polynomial, ``p(r) - 1 / r = (r / r_0 - 1) (r / r_1 - 1)^2 (r / r_2 - 1)^2 / r``.
+    """
+    nodes = r.min(axis=0) + np.ptp(r, axis=0) * np.cos(np.pi / 10 * np.array([[5], [3], [1]])) ** 2
+    at, hoops = powers(4, 3) / 4 @ r, np.arange(values) // 3
+    first, *others = at / nodes[:, None] - 1
+    weights = np.stack([(1 + first * np.prod(others, axis=0) ** 2) / at, np.ones(at.shape), at])
+    return weights[np.add.outer(hoops, hoops)] / (2 * np.pi)
 
 
 def of_displacement(element: Element, law: Law, skeleton: Skeleton, displacement: Array) -> Array:
@@ -85,9 +105,11 @@ class TraceFields:
     def push(self) -> Array:
         """(elements, values, values) values of a field by those on the reference triangle."""
         matrix = self.element.pieces.matrix
-        each, F = matrix / matrix.sum(axis=(0, 1)), self.skeleton.jacobian
+        each, F = matrix / np.maximum(matrix.sum(axis=(0, 1)), 1), self.skeleton.jacobian
         pushed = np.einsum("idv,eij,edg,jgw->evw", each, self.turn, F, matrix, optimize=True)
-        return pushed / (2 * self.skeleton.areas)[:, None, None]
+        pushed /= (2 * self.skeleton.areas)[:, None, None]
+        pushed[:, 3:, 3:] = 1.0  # a hoop stress
+        return pushed
 
     @cached_property
     def prescribed(self) -> Array:
@@ -98,6 +120,16 @@ class TraceFields:
         divergence = (-2 * self.skeleton.areas * self.load).transpose(2, 0, 1)
         wanted = np.linalg.solve(self.turn, divergence)
         return np.ascontiguousarray(wanted.transpose(0, 2, 1)).reshape(len(wanted), -1)
+
+    @cached_property
+    def kernel(self) -> Array:
+        """(elements, n, m) coefficients by the unknown ones: hoop stresses balance a divergence along r."""
+        hoops, n = self.element.hoop.shape[3], self.element.basis.shape[3]
+        m = n - self.prescribed.shape[1]
+        result = np.tile(np.eye(n, m), (len(self.turn), 1, 1))
+        along = 2 * self.skeleton.areas[:, None, None] * np.linalg.inv(self.turn)[:, :, :1]
+        result[:, n - 2 * hoops :, m - hoops :] = np.kron(np.eye(hoops), along)
+        return result
 
     @cached_property
     def rows(self) -> Array:
@@ -117,21 +149,18 @@ class TraceFields:
 
         With L instead of an inverse, thin triangles cost half as many digits.
         """
-        P = self.push
-        metric = (
-            P.transpose(0, 2, 1)
-            @ np.moveaxis(self.law.compliance, 2, 0)
-            @ P
-            * self.skeleton.areas[:, None, None]
-        )
+        P = self.push[:, None]
+        metric = P.transpose(0, 1, 3, 2) @ self.law.compliance.transpose(3, 2, 0, 1) @ P
+        metric *= self.skeleton.areas[:, None, None, None]
         n = self.element.basis.shape[3]
         A = (metric.reshape(len(P), -1) @ self.element.products).reshape(-1, n, n)
-        free = n - self.prescribed.shape[1]
-        by_load = A[:, :free, free:] @ self.prescribed[:, :, None]
+        Z, known = self.kernel, self.prescribed.shape[1]
+        tested = Z.transpose(0, 2, 1) @ A
+        own, by_load = tested @ Z, tested[:, :, n - known :] @ self.prescribed[:, :, None]
         # on needles rounding would leave no Cholesky factor; fields in equilibrium stay so in any metric
-        largest = np.max(np.diagonal(A, axis1=1, axis2=2)[:, :free], axis=1)
-        root = np.linalg.cholesky(A[:, :free, :free] + 1e-14 * largest[:, None, None] * np.eye(free))
-        right = np.concatenate([self.rows[:, :, :free].transpose(0, 2, 1), by_load], axis=2)
+        largest = np.max(np.diagonal(own, axis1=1, axis2=2), axis=1)
+        root = np.linalg.cholesky(own + 1e-14 * largest[:, None, None] * np.eye(n - known))
+        right = np.concatenate([(self.rows @ Z).transpose(0, 2, 1), by_load], axis=2)
         solved = np.linalg.solve(root, right)
         return root, solved[:, :, :-1], -solved[:, :, -1]
 
@@ -153,8 +182,8 @@ class TraceFields:
         """The fields for traces (elements, traces)."""
         root, by_trace, by_load = self._roots
         scaled = by_trace @ traces[:, :, None] + by_load[:, :, None]
-        free = np.linalg.solve(root.transpose(0, 2, 1), scaled)[:, :, 0]
-        coefficients = np.hstack([free, self.prescribed])
+        coefficients = (self.kernel @ np.linalg.solve(root.transpose(0, 2, 1), scaled))[:, :, 0]
+        coefficients[:, coefficients.shape[1] - self.prescribed.shape[1] :] += self.prescribed
         return np.einsum("evw,pfwn,en->pfve", self.push, self.element.basis, coefficients, optimize=True)
 
     def forces(self, field: Array) -> Array:
@@ -164,9 +193,9 @@ class TraceFields:
 
     def energy(self, field: Array) -> Array:
         """(elements,) stored energies, the integrals of ``C^-1 sigma : sigma / 2``."""
-        mass = self.element.pieces.mass
-        strain = np.einsum("vwe,pfwe->pfve", self.law.compliance, field)
-        tested = mass @ strain.reshape(*mass.shape[:2], -1)
+        mass = self.element.mass
+        strain = np.einsum("vwme,pfwe->mpfve", self.law.compliance, field)
+        tested = np.sum(mass @ strain.reshape(*mass.shape[:3], -1), axis=0)
         square = np.sum(field.reshape(tested.shape) * tested, axis=(0, 1)).reshape(field.shape[2:])
         return np.maximum(square.sum(axis=0), 0.0) * self.skeleton.areas / 2
 
@@ -179,6 +208,8 @@ class TraceFields:
         pieces, corners, areas = self.element.pieces, self.skeleton.corners, self.skeleton.areas
         body = np.einsum("pfg,cge->cpfe", pieces.restriction, load)
         out = pieces.divergence(field, corners) + body
+        lowered = np.linalg.pinv(elevation(pieces.degree + 1, 3))
+        out[0] -= np.einsum("gf,pfve->pge", lowered, field[:, :, 3:])
         share = pieces.shares[:, None, None] * areas
         largest = max(magnitude(part) for part in (self.forces(field), load * areas))
         violations = out * share, pieces.faults(field, corners)

@@ -18,7 +18,7 @@ from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.fem.bernstein import functions, size
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Edges
-from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.coefficients import Coefficient, on_points, product
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def integrals(
     def tested(_: Index, barycentric: Array, where: Array, weights: Array) -> Array:
         values = on_points(coefficient, where)
         each = np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
-        return np.sum(each * weights, axis=2)
+        return np.sum(each / skeleton.body.problem.measured(where) * weights, axis=2)
 
     def along(rows: Index, s: Array, *places: Array) -> Array:
         return tested(rows, np.stack([1 - s, s]), *places)
@@ -106,7 +106,8 @@ def _loads(
     remainder, is_certain = np.zeros(measure.size), True
     for coefficients, cells in given:
         unmet = np.zeros(len(cells))  # mean square of what the best approximation leaves
-        for i, coefficient in enumerate(coefficients):
+        for i, one in enumerate(coefficients):
+            coefficient = product(problem.measure, one)
             part = integrals(coefficient, skeleton, cells, vertices, problem.order)
             value[i][:, cells] += part.moments
             doubt[i][:, cells] += part.doubt

@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import comb
+from scipy.special import comb, factorial
 
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import SIDES
@@ -20,11 +20,20 @@ from rmesh_nlp.fem.bernstein import SIDES
 def powers(degree: int, vertices: int) -> Index:
     """(functions, vertices) powers of the barycentric coordinates."""
     corners = np.eye(vertices, dtype=np.int64)
+    if degree == 0:
+        return 0 * corners[:1]
     if degree <= 2:
         sides = [corners[a] + corners[b] for a, b in SIDES[vertices]] if degree == 2 else []
         return np.vstack([degree * corners, *sides])
     every = powers(degree - 1, vertices)[:, None] + corners
     return np.unique(every.reshape(-1, vertices), axis=0)
+
+
+def bernstein(degree: int, shares: Array) -> Array:
+    """(functions, points) values of the functions of any degree at barycentric coordinates (3, points)."""
+    each = powers(degree, len(shares))
+    ways = factorial(degree) / np.prod(factorial(each), axis=1, keepdims=True)
+    return ways * np.prod(shares ** each[:, :, None], axis=1)
 
 
 @lru_cache

@@ -95,6 +95,14 @@ def where(condition: Expression, a: Expression, b: Expression) -> Expression:
         raise BadInputError(said, "condition") from None
 
 
+@once
+def product(measure: Coefficient, coefficient: Coefficient) -> Coefficient:
+    """A coefficient times a measure; one of a plane body is 1."""
+    if not callable(measure) or coefficient == 0:
+        return coefficient
+    return lambda x, y: at(measure, x, y) * at(coefficient, x, y)
+
+
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
     """Values (...) of a coefficient at ``points`` (2, ...); a ValueError if one is not finite."""
     with located(what):

@@ -119,8 +119,10 @@ class Law(ABC):
 
     @property
     def stiffness(self) -> Array:
-        """(values, values) stresses of a unit gradient, or of unit strains xx, yy and twice xy."""
-        i, j = ((0, 0), (0, 1)) if self.components == 1 else ((0, 1, 0), (0, 1, 1))
+        """(values, values) stresses of a unit gradient, or of unit strains xx, yy, twice xy, any hoop."""
+        values = self.components + self.moduli.shape[1] - 1
+        places = ((0, 0), (0, 1)) if self.components == 1 else ((0, 0), (1, 1), (0, 1), (0, 2))
+        i, j = zip(*places[:values], strict=True)
         return self.moduli[i, j][:, i, j]
 
     @property
@@ -297,6 +299,8 @@ class Axisymmetric(PlaneStrain):
     Energies and forces are of the whole body, also those of point loads: on r > 0 of a circle of them. Nodes
     on r = 0 have u_r = 0 without being asked.
     """
+
+    compliance = Law.compliance
 
     @property
     def axisymmetric(self) -> bool:

@@ -9,7 +9,7 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.fem.stress import strain_energies, stresses
 from rmesh_nlp.meshes.shapes import _drawn
-from rmesh_nlp.problem import Law
+from rmesh_nlp.problem import Law, Place
 
 YOUNG, POISSON, PRESSURE = 1000.0, 0.3, 10.0
 LAW = rm.Axisymmetric.from_young(YOUNG, POISSON)
@@ -109,9 +109,31 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
         assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1), objective
 
 
-def test_certificate_is_refused_in_words() -> None:
-    told = rm.solve(pressed(2, 0.5, 1), "fixed", certify=True).record()["certificate_remark"]
-    assert "body of revolution" in told
+def test_certificate_of_a_body_on_its_axis_is_refused_in_words() -> None:
+    told = rm.solve(pressed(2, 0.0, 1), "fixed", certify=True).record()["certificate_remark"]
+    assert "meets its axis" in told
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("kind", ["elastic", "rubbing", "membrane"])
+def test_bounds_of_a_ring_hold_on_finer_meshes(kind: str, order: int) -> None:
+    held = rm.Dirichlet("top", (lambda x, y: 0.02 * (x - 1.2), -0.02))
+    rough = rm.Obstacle.graph("bottom", lambda x, y: 0.01 * (x - 0.5), friction=4.0 * (kind == "rubbing"))
+    pulled = (lambda x, y: 20 * x * y, -10.0)
+    given = {"law": replace(LAW, body_force=pulled), "dirichlet": held, "obstacle": rough}
+    if kind == "membrane":
+        law, below = rm.Laplace(-40.0, axisymmetric=True), rm.Obstacle(Place.INTERIOR, (1.0,), 0.8)
+        given = {"law": law, "dirichlet": "right", "obstacle": below, "tractions": ()}
+    problem = pressed(2, 0.5, order, **given)
+    solution = rm.solve(problem, "fixed", certify=True)
+    fine = rm.solve(rm.refined(rm.refined(replace(problem, order=2))), "fixed", audit=False)
+    found = solution.certificate
+    assert found.is_guaranteed
+    assert found.lower <= fine.energy <= found.upper
+    assert found.upper - found.lower < 0.3 / order * abs(fine.energy)
+    if kind != "membrane":
+        bounds = found.bounds["resultant(bottom)"]
+        assert bounds.lower < fine.contact["bottom"]["normal_force"] < bounds.upper
 
 
 def test_laplace_of_revolution() -> None:
