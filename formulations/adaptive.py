@@ -183,7 +183,7 @@ class Adaptive(Wrapper):
                             f"on {nodes} nodes the error, or half the width of bounds, is {worst:.3g} times "
                             f"too large (inf: not guaranteed), and {LARGEST} nodes would not suffice"
                         )
-                    outer = Outer.of(finer, outer.objective, outer.tolerance)
+                    outer = replace(outer, contact=on.solver(finer))
 
         try:
             monitor.attempt(refine)

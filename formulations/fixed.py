@@ -42,7 +42,7 @@ class Fixed(Formulation):
         return Outcome(outer, np.zeros(outer.n), state.status, label="", details=details)
 
     def _solved(self, outer: Outer, monitor: Monitor) -> Equilibrium:
-        state = active_set.solve(outer.contact.system_at(np.zeros(outer.n)))
+        state = active_set.solve(outer.contact.given_system)
         monitor.work += Work(1, 1, state.iterations)
         nan, seconds = float("nan"), monitor.budget.elapsed
         step = Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds, energy_given=state.energy)
@@ -52,9 +52,9 @@ class Fixed(Formulation):
 
 def _carried(outer: Outer, state: Equilibrium) -> dict[str, dict[str, float]]:
     """What each contact boundary carries, by the names of the record."""
-    contact = outer.contact
-    system = contact.system_at(np.zeros(outer.n))
-    results = contact_results(contact.discretisation.space, outer.problem.mesh.p, system, state)
+    results = contact_results(
+        outer.discretisation.space, outer.problem.mesh.p, outer.contact.given_system, state
+    )
     return {
         name: {key: of for key, of in vars(result).items() if of is not None}
         for name, result in results.items()

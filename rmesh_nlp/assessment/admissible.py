@@ -205,17 +205,16 @@ class Continuous:
         acts = np.diff(N.indptr) > 0
         rubbing = [cells for cells in self.cells if cells.contact.obstacle.friction_law.has_given]
         T = sp.vstack([N[:0], *(self._rows(cells, cells.tangents)[:, last] for cells in rubbing)], "csr")
-        bounds = (
-            on_points(each.contact.obstacle.friction_law.given, each.points) * each.measures(self.problem)
-            for each in rubbing
-        )
-        bound = np.concatenate([np.zeros(0), *(each.ravel() for each in bounds)])
+        bound = np.zeros(0)
+        for each in rubbing:
+            own = on_points(each.contact.obstacle.friction_law.given, each.points)
+            bound = np.append(bound, own * each.measures(self.problem))
         rubs = (np.diff(T.indptr) > 0) & (bound > 0)
 
         def offset(x: Array) -> Array:
             u = displacement(x)
-            gaps = [cells.distance + cells.along(self.given) - cells.dips(u) for cells in near]
-            return np.concatenate([gap.ravel() for gap in gaps])[acts]
+            gaps = (each.distance + each.along(self.given) - each.dips(u) for each in near)
+            return np.concatenate([*map(np.ravel, gaps)])[acts]
 
         rows = N[acts], T[rubs], bound[rubs]
         return BarrierProgram(program.stiffness, program.load, *rows, offset).minimised(state.u)
@@ -273,12 +272,11 @@ class Continuous:
     def friction(self, displacement: Array) -> tuple[float, float]:
         """The integral of friction bound times slip of a displacement (components, nodes), and its doubt."""
         slip = displacement if self.problem.origin is None else displacement - self.problem.origin
-        parts = [
-            friction_energy(edges, part.obstacle, part.relative(slip)[:, self.space.nodes_of(edges.ends)])
-            for part, edges in self._rubbing
-        ]
-        value, doubt = np.sum([np.sum(each, axis=1) for each in parts], axis=0) if parts else (0.0, 0.0)
-        return float(value), float(doubt)
+        total = np.zeros(2)
+        for part, edges in self._rubbing:
+            slips = part.relative(slip)[:, self.space.nodes_of(edges.ends)]
+            total += np.sum(friction_energy(edges, part.obstacle, slips), axis=1)
+        return float(total[0]), float(total[1])
 
     def first_standoff(self) -> Array:
         """(gaps,) how far nodes keep off by what is missing where their gaps are closed."""

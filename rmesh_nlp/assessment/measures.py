@@ -39,17 +39,16 @@ def corrections(
     of the strain energies at the admissible one. Quadrature of the loads: what is left. On a mesh that had to
     be refined all of it counts as penetration.
     """
-    own = dict.fromkeys(EXPLOITS, 0.0)
     if exact.problem is not model.problem:
-        return {**own, "penetration": exact.energy - solved.energy}
-    strain, friction = model.strain_and_friction(nodes, exact.state.u)
-    before = model.strain_and_friction(nodes, solved.u)[1]
+        return {**dict.fromkeys(EXPLOITS, 0.0), "penetration": exact.energy - solved.energy}
+    system = model.system(nodes)
+    before, friction = (system.slip_bound @ np.abs(system.tangents @ u) for u in (solved.u, exact.state.u))
     friction_before = exact.continuous.friction(model.displacement.values(solved.u))[0]
     force = (solved.normal_force + exact.state.normal_force) / 2
     causes = {
-        "penetration": float(force @ (model.system(nodes).offset - exact.system.offset)),
+        "penetration": float(force @ (system.offset - exact.system.offset)),
         "friction": (exact.friction - friction + friction_before - before) / 2,
-        "geometry": exact.strain - strain,
+        "geometry": exact.strain - model.strain(nodes, exact.state.u),
     }
     return {"quadrature": exact.energy - solved.energy - sum(causes.values()), **causes}
 

@@ -33,6 +33,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
@@ -42,7 +43,7 @@ from rmesh_nlp.certificate.hybrid import turned
 from rmesh_nlp.certificate.integrals import tractions
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.expressions import Expression
@@ -127,15 +128,24 @@ class OnMesh:
     @classmethod
     def of(cls, solver: ContactSolver) -> OnMesh:
         """The mesh of a solver as given; a NotCertifiableError where contact is not solved."""
-        problem, nodes, status = solver.problem, solver.problem.mesh.p, solver.given.status
-        if status is not Status.CONVERGED:
-            raise NotCertifiableError(f"on {nodes.shape[1]} nodes: {status.message}")
-        return cls(problem, nodes, solver.displacement, solver.system(nodes), solver.given)
+        nodes, state = solver.problem.mesh.p, solver.given
+        if state.status is not Status.CONVERGED:
+            raise NotCertifiableError(f"on {len(nodes.T)} nodes: {state.status.message}")
+        return cls(solver.problem, nodes, solver.displacement, solver.given_system, state)
 
     @cached_property
     def space(self) -> DisplacementSpace:
         """Of the displacements."""
         return DisplacementSpace(self.problem)
+
+    def solver(self, problem: ContactProblem) -> ContactSolver:
+        """Of the problem on another mesh: it begins with the contact of the nearest nodes here."""
+        own, new, active = self.space, DisplacementSpace(problem), self.state.active
+        tree = cKDTree(own.points(self.nodes)[:, own.contact_nodes].T)
+        near = tree.query(new.points(problem.mesh.p)[:, new.contact_nodes].T)[1]
+        # where no gap was free before, nodes begin open
+        touching = np.append(active.touching, False)[near]
+        return ContactSolver(problem, ActiveSet(touching, np.append(active.sliding, False)[near]))
 
     @cached_property
     def skeleton(self) -> Skeleton:
@@ -157,18 +167,19 @@ class OnMesh:
 
     def dual(self, gap: Array, push: Array) -> Array:
         """The displacement under a load, both as :attr:`u`, and offsets (gaps,)."""
-        index, load, dual = self.displacement.index, np.zeros(self.system.load.size), np.zeros(push.shape)
-        free = index >= 0
-        load[index[free]] = push[free]
-        dual[free] = self.system.response(self.state.active, load, gap)[index[free]]
-        return dual
+        index, response = self.displacement.index, self.system.response
+        return np.where(index >= 0, response(self.state.active, self._free(push), gap)[index], 0.0)
 
     def work_of_bounds(self, w: Array) -> float:
         """Of the bounds where nodes slide, which do not depend on the pressure, on a displacement."""
-        system, index = self.system, self.displacement.index
-        u, free = np.zeros(system.load.size), index >= 0
-        u[index[free]] = w[free]
-        return float((self.state.active.sliding * system.slip_bound) @ (system.tangents @ u))
+        bound = self.state.active.sliding * self.system.slip_bound
+        return float(bound @ self.system.tangents @ self._free(w))
+
+    def _free(self, values: Array) -> Array:
+        """(unknowns,) those of values as :attr:`u`."""
+        index, free = self.displacement.index, np.zeros(self.system.load.size)
+        free[index[index >= 0]] = values[index >= 0]
+        return free
 
 
 class Quantity(NamedTuple):
@@ -239,8 +250,8 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
 
 def of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:
     """Quantities of each contact boundary."""
-    names = [one.boundary for one in problem.obstacles if isinstance(one.boundary, str)]
-    return tuple(f"{kind}({name})" for name in names for kind in kinds)
+    parts = (part.boundary for part in problem.obstacles)
+    return tuple(f"{kind}({name})" for name in parts if isinstance(name, str) for kind in kinds)
 
 
 def of_tools(problem: ContactProblem) -> dict[str, tuple[int, int]]:
@@ -308,7 +319,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             nodes, raised, along = on.space.nodes_of(contact_edges(problem, part.obstacle)), 0 * w, w.copy()
             raised[:, nodes] = np.multiply.outer(part.obstacle.normal, weights[nodes])[: len(w)]
             given = np.setdiff1d(nodes, part.nodes)
-            if part.partner is not None and np.any(weights[given[part.partner[given] == given]]):
+            if np.any(weights[part.partner == np.arange(weights.size)]):
                 raise NotCertifiableError("no displacement opens a crack at its end")
             along[:, given], gap = raised[:, given], -gaps(raised)
         traces = np.zeros(free.size)
@@ -342,7 +353,7 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     mesh = relocated_mesh(problem.mesh, on.nodes)
     raised = replace(problem, mesh=mesh, reference=None, order=2)
     richer = raised if problem.order == 1 else refined(raised)
-    finer = OnMesh.of(ContactSolver(richer))
+    finer = OnMesh.of(on.solver(richer))
 
     def norms(fine: Array, coarse: Array) -> Array:
         # vertices of the mesh refined once are the nodes of order 2

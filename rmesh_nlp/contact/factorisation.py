@@ -45,7 +45,7 @@ def factorised(K: sp.csc_array) -> Solve:
 
 def factorised_lu(K: sp.csc_array) -> tuple[Solve, Solve]:
     """Sparse factorisation of a matrix that is not symmetric; the second one solves with its transpose."""
-    solve = splu(K, permc_spec="COLAMD").solve
+    solve = splu(K).solve
     return solve, partial(solve, trans="T")
 
 

@@ -38,8 +38,14 @@ def interior_point(system: ContactSystem, start: Equilibrium) -> Iterator[tuple[
     """
     bound = system.slip_bound
     slides = np.flatnonzero(system.rotated.slips & (bound > 0))
-    rows = system.normals, system.tangents[slides]
-    program = BarrierProgram(system.stiffness, system.load, *rows, bound[slides], lambda _: system.offset)
+    program = BarrierProgram(
+        system.stiffness,
+        system.load,
+        system.normals,
+        system.tangents[slides],
+        bound[slides],
+        lambda _: system.offset,
+    )
     for _, y, z in program.steps(start.u, start.normal_force):
         touching, forward, backward = program.split(z > program.unit * y)
         sliding = np.zeros(bound.size, dtype=np.int8)

@@ -86,11 +86,14 @@ class ContactSolver:
         The node of every gap.
     normals, tangents : sparse arrays
         Those of the contact system on the initial mesh; where no foundation is curved, on every mesh.
+    start : ActiveSet, optional
+        With which the solve on the mesh as given begins.
     """
 
-    def __init__(self, problem: ContactProblem | Discretisation) -> None:
+    def __init__(self, problem: ContactProblem | Discretisation, start: ActiveSet | None = None) -> None:
         self.discretisation = parts = discretise(problem)
         self.problem = problem = parts.problem
+        self.start = start
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.space.contact_nodes
         on = Fields(parts.space, parts.vertices.positions, parts.displacement, parts.slip)
@@ -100,9 +103,8 @@ class ContactSolver:
         self._curved = any(part.level is not None for part in problem.obstacles)
         self.normals, self.tangents, _ = contact_rows(parts, problem.mesh.p, problem.start)
         if parts.floats:
-            system = self.system(problem.mesh.p)
-            check_load(system, problem)
-            check_unique(system, self.given, problem)
+            check_load(self.given_system, problem)
+            check_unique(self.given_system, self.given, problem)
 
     def system(self, nodes: Array, design: Array | None = None) -> ContactSystem:
         """The quadratic program at vertex positions (2, vertices) and a design, by default the first one."""
@@ -134,24 +136,26 @@ class ContactSolver:
         return solve(self.system(nodes), start)
 
     @cached_property
-    def given(self) -> Equilibrium:
-        """The contact solution on the mesh as given, from nothing; whoever needs it shares it."""
-        return self.solve(self.problem.mesh.p)
+    def given_system(self) -> ContactSystem:
+        """The quadratic program on the mesh as given, which shares its factors."""
+        return self.system(self.problem.mesh.p)
 
-    def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
-        """Strain energy and friction energy of a displacement at vertex positions."""
+    @cached_property
+    def given(self) -> Equilibrium:
+        """The contact solution on the mesh as given; whoever needs it shares it."""
+        return solve(self.given_system, self.start)
+
+    def strain(self, nodes: Array, u: Array) -> float:
+        """Strain energy of a displacement at vertex positions."""
         given = self.discretisation.vertices.values(nodes)
         value, pull, _ = self._elastic(given)
-        strain = 0.5 * float(u @ (self._elastic.hessian(given) @ u)) + float(pull @ u) + value
-        return strain, float(self._slip_bound(given) @ np.abs(self.slips(nodes, u)))
+        return 0.5 * float(u @ (self._elastic.hessian(given) @ u)) + float(pull @ u) + value
 
     def slips(self, nodes: Array, u: Array, design: Array | None = None) -> Array:
         """Displacements (gaps,) along the tangents at vertex positions (2, vertices) and a design."""
-        turns = self._curved and self.problem.frictional
-        tangents = (
-            contact_rows(self.discretisation, nodes, self._named(design))[1] if turns else self.tangents
-        )
-        return tangents @ u
+        if not self._curved:
+            return self.tangents @ u
+        return contact_rows(self.discretisation, nodes, self._named(design))[1] @ u
 
     def _named(self, design: Array | None) -> dict[str, float]:
         """Design variables by their names."""

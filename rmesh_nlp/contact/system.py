@@ -152,8 +152,7 @@ class ContactSystem:
         """Unit of nodal forces: the largest applied one, or the force that an initial overlap would take."""
         applied = max(magnitude(self.load), np.max(self.slip_bound, initial=0.0))
         if applied == 0:
-            overlap = -np.min(self.offset, initial=0.0)
-            applied = overlap * np.max(self.stiffness.diagonal(), initial=0.0)
+            applied = -np.min(self.offset, initial=0.0) * np.max(self.stiffness.diagonal(), initial=0.0)
         return float(max(applied, 1e-300))
 
 
@@ -244,10 +243,8 @@ class RotatedSystem:
         of_pull = b"" if pull is None else pull.data.tobytes() + pull.indices.tobytes()
         key = active.touching.tobytes() + sticking.tobytes() + of_pull
         if self._factor is None or self._factor[0] != key:
-            free = np.ones(self.F.size, dtype=bool)
-            free[self.normal[active.touching]] = False
-            free[self.tangent[sticking]] = False
-            inside = np.flatnonzero(free)
+            held = np.append(self.normal[active.touching], self.tangent[sticking])
+            inside = np.delete(np.arange(self.F.size), held)
             self._factor = None  # its memory first
             if pull is None:
                 solve = transposed = factorised(self.K[:, inside][inside])
@@ -260,7 +257,8 @@ class RotatedSystem:
         """(m,) unknowns under a force (m,), with gaps and slips closed that the active set holds."""
         w, (inside, solve, _) = np.zeros(force.size), self.factor(active)
         w[self.normal[active.touching]] = -offset[active.touching]
-        w[inside] = solve(self.combined(active, force - self.K @ w)[inside])
+        residual, pull = force - self.K @ w, self.coupling(active)
+        w[inside] = solve((residual if pull is None else residual + pull @ residual)[inside])
         return w
 
     def adjoint(self, active: ActiveSet, force: Array, offset: Array) -> Array:
@@ -283,11 +281,6 @@ class RotatedSystem:
         values = active.sliding[slides] * self._coulomb[slides]
         place = self.tangent[slides], self.normal[slides]
         return sp.csr_array((values, place), shape=self.K.shape)
-
-    def combined(self, active: ActiveSet, force: Array) -> Array:
-        """``force + C force``, see :meth:`coupling`."""
-        pull = self.coupling(active)
-        return force if pull is None else (force + pull @ force)
 
 
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array, Index, Index]:

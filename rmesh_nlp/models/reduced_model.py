@@ -81,8 +81,7 @@ class ReducedEnergy:
     @property
     def start(self) -> ContactPoint:
         """The contact solution on the mesh as given; it counts as no contact solve of a formulation."""
-        q = np.zeros(self.relocation.parts.n_q)
-        return ContactPoint(q, self.model.system_at(q), self.model.given)
+        return ContactPoint(np.zeros(self.relocation.parts.n_q), self.model.given_system, self.model.given)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``; the last point is remembered."""
@@ -101,7 +100,7 @@ class ReducedEnergy:
             self.contact_solves += 1
             self.cold_solves += given is not None or self._active is None
             self.factorisations += equilibrium.iterations
-            self._is_given_counted = self._is_given_counted or given is not None
+            self._is_given_counted |= given is not None
         self._active = equilibrium.active
         self._last = ContactPoint(np.array(q), system, equilibrium)
         return self._last

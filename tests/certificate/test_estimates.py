@@ -161,3 +161,12 @@ def test_growing_peak_does_not_converge() -> None:
 def test_unknown_quantity_is_refused_by_name(text: str) -> None:
     with pytest.raises(BadInputError, match=r"top|bottom"):
         check(text, BODY)
+
+
+def test_contact_of_a_mesh_is_where_the_solve_on_a_finer_one_begins() -> None:
+    on, fine = OnMesh.of(ContactSolver(replace(BODY, order=2))), refined(replace(BODY, order=2))
+    warm, cold = on.solver(fine), ContactSolver(fine)
+    assert warm.start is not None
+    assert np.sum(warm.start.touching != cold.given.active.touching) <= 2
+    assert warm.given.iterations <= 3
+    assert warm.given.energy == pytest.approx(cold.given.energy, rel=1e-12)
