@@ -11,19 +11,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
+import numpy as np
+
 from formulations.cascade import Cascade
 from formulations.fixed import Fixed
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
 from formulations.schedule import Schedule
+from rmesh_nlp.evaluation import ROUNDING, magnitude
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import validity
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.regularisation import weights
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Obstacle
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.settings import Open
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 from rmesh_nlp.solving.plan import example_objective
@@ -93,16 +97,18 @@ class Auto(Chooser):
                 return Nested(enough=ENOUGH), why
             return self._around(Joint()), "joint: nodes have move limits"
         if motion.min_angle > 0:
-            held = Schedule(Joint(), self.regularisation or Schedule.weights)
             why = "joint, regularised: a least angle is asked for, which must hold as a constraint"
-            return held, why
+            return Schedule(Joint(), self.regularisation or Schedule.weights), why
         chosen = self._weighted()
         if is_started:
-            inner = Schedule(Nested(), chosen.regularisation, chosen.distortion)
             why = "nested, newton: relocation from the start that was given"
-            return inner, why
+            return Schedule(Nested(), chosen.regularisation, chosen.distortion), why
         if free.n == 0:
             return Nested(), "nested: no node can move"
+        first = problem.at_design()
+        if any(_conforms(first, part) for part in first.obstacles if first.order == 2 or part.other):
+            why = "fixed: nodes on arcs that fit what they touch gain by moving only where gaps do not hold "
+            return Fixed(), f"{why}between nodes; with delta they are relocated"
         why = "cascade: relocation without move limits"
         if not is_available():
             why += "; with mmgpy installed --remesh begins on a mesh that suits the solution"
@@ -117,3 +123,11 @@ class Auto(Chooser):
             return self.cascade
         *before, last = weights(self.regularisation)
         return replace(self.cascade, regularisation=last, schedule=tuple(before) or self.cascade.schedule)
+
+
+def _conforms(problem: ContactProblem, obstacle: Obstacle) -> bool:
+    """Whether arcs of the body bend at least four times as much as the gap along them."""
+    edges = Body(problem, problem.mesh.p).edges_of(obstacle)
+    points = edges.at(np.arange(edges.size), np.tile([0, 0.5, 1], (edges.size, 1)))[0]
+    arc, gap = (magnitude(np.diff(part, 2)) for part in (points, obstacle.distances(points)))
+    return arc > 4 * gap + ROUNDING * magnitude(points)

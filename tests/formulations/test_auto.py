@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import rmesh_nlp as rm
 from formulations import cascade as module
 from formulations.auto import DEGREE, Auto
 from formulations.cascade import Cascade
+from formulations.fixed import Fixed
 from formulations.joint import Joint
 from formulations.nested import Nested
 from formulations.schedule import Schedule
@@ -20,7 +22,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.optimize.status import Status
@@ -77,6 +79,21 @@ BODY = ContactProblem(
     Obstacle.curve("bottom", lambda x, y: y + 0.05 * (x - 1) ** 2),
     Motion(None),
 )
+RINGS = rm.read_problem(Path(__file__).parents[2] / "docs" / "parts" / "rings.toml")
+FREE_RINGS = replace(
+    RINGS,
+    obstacle=tuple(replace(part, coulomb=0.0) for part in RINGS.obstacles),
+    motion=replace(RINGS.motion, delta=None),
+)
+
+
+def pin(radius: float, order: int) -> ContactProblem:
+    """A plate with a round hole of radius 1 that touches a pin at its right end."""
+    plate = plate_with_hole(0.45, size=4, radius=1)
+    return ContactProblem(
+        plate, PlaneStrain(1.0, 1.0), "left", Obstacle.circle("hole", (3 - radius, 2), radius),
+        Motion(None, curves={"hole": rm.Circle((2, 2), 1)}), order=order,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -95,6 +112,16 @@ BODY = ContactProblem(
         (square(3, Motion(None, min_angle=20.0)), "energy", Schedule, "joint, regularised"),
         (square(3, Motion(None)), "energy", Cascade, "cascade: relocation without move limits"),
         (BODY, "energy", Cascade, "gaps along edges: a foundation is curved"),
+        (pin(0.99, 2), "energy", Fixed, "fixed: nodes on arcs that fit what they touch"),
+        (pin(0.99, 1), "energy", Cascade, "gaps along edges: a foundation is curved"),
+        (pin(0.5, 2), "energy", Cascade, "gaps along edges: a foundation is curved"),
+        (replace(BODY, order=2), "energy", Cascade, "gaps along edges: a foundation is curved"),
+        (
+            FREE_RINGS,
+            "energy",
+            Fixed,
+            "fixed: nodes on arcs that fit what they touch",
+        ),
     ],
 )
 def test_the_formulation_that_is_chosen_and_why(
@@ -103,7 +130,7 @@ def test_the_formulation_that_is_chosen_and_why(
     choice = Auto().choose(problem, parse_objective(objective))
     assert type(choice.formulation) is chosen
     assert why in choice.why
-    assert [one.gap for one in choice.problem.obstacles] == ["edge" for _ in problem.obstacles]
+    assert [one.gap for one in choice.problem.obstacles] == ["node" if one.other else "edge" for one in problem.obstacles]
 
 
 @pytest.mark.slow
