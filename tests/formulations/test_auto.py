@@ -116,12 +116,7 @@ def pin(radius: float, order: int) -> ContactProblem:
         (pin(0.99, 1), "energy", Cascade, "gaps along edges: a foundation is curved"),
         (pin(0.5, 2), "energy", Cascade, "gaps along edges: a foundation is curved"),
         (replace(BODY, order=2), "energy", Cascade, "gaps along edges: a foundation is curved"),
-        (
-            FREE_RINGS,
-            "energy",
-            Fixed,
-            "fixed: nodes on arcs that fit what they touch",
-        ),
+        (FREE_RINGS, "energy", Fixed, "fixed: nodes on arcs that fit what they touch"),
     ],
 )
 def test_the_formulation_that_is_chosen_and_why(
@@ -130,7 +125,7 @@ def test_the_formulation_that_is_chosen_and_why(
     choice = Auto().choose(problem, parse_objective(objective))
     assert type(choice.formulation) is chosen
     assert why in choice.why
-    assert [one.gap for one in choice.problem.obstacles] == ["node" if one.other else "edge" for one in problem.obstacles]
+    assert all(part.gap == ("node" if part.other else "edge") for part in choice.problem.obstacles)
 
 
 @pytest.mark.slow
