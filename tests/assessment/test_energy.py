@@ -152,7 +152,7 @@ def test_triangles_are_split_along_jumps_and_kinks(
 @pytest.mark.parametrize(
     ("coefficient", "exact", "is_certain"),
     [
-        (lambda x, y: where(x > 1.97, -60.0, 0.0), -1.8, True),
+        (lambda x, y: where(x <= 1.97, 0.0, -60.0), -1.8, True),
         (lambda x, y: where((x - 0.3) * (x - 0.31) < 0, 1.0, 0.0), 0.01, True),
         (PiecewiseLinear((0.0, 0.7, 2.0), (0.0, 0.7, 0.7)), 0.7**2 / 2 + 0.7 * 1.3, True),
         (lambda x, y: where(ca.cos(2 * x) > 0, 1.0, 0.0), np.pi / 4, False),
