@@ -37,8 +37,9 @@ class ReducedConstraints:
         for constraint, rows in zip(parts.problem.constraints, self.rows.places, strict=True):
             lower, upper = constraint.bounds
             upper = float(upper if is_number(upper) else at_design(upper, named))
-            each = reached[rows] * unit_of(constraint)
-            if (boundary := boundary_of(constraint)) is not None:
+            if (boundary := boundary_of(constraint)) is None:
+                each = reached[rows] * unit_of(constraint)
+            else:
                 part, nodes = contact_on(parts.space, boundary), parts.mesh_map.positions.values(point.q)
                 each = vertex_pressures(parts.space, nodes, part, point.equilibrium.normal_force)
             values.append((str(constraint.value), float(np.max(each)), lower, upper))

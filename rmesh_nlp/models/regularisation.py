@@ -11,15 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rmesh_nlp.assessment.admissible import admissible
+from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import on_refined
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.remeshing import Solved
+from rmesh_nlp.optimize.status import Status
 
 EXTRAPOLATION = 4 / 3
 """Error of the energy over its decrease by one uniform refinement, if the error falls by four."""
@@ -34,11 +35,18 @@ def gain_estimate(solver: ContactSolver) -> float:
     interpolation by recovered derivatives estimates it.
     """
     given = admissible(solver.discretisation, start=solver.given.active)
-    refined = on_refined(given)
+    refined = _refined(given)
     least = ROUNDING * max(abs(given.energy), 1e-300)
-    if refined is not None and refined.energy < given.energy:
+    if refined is not None and refined.status is Status.CONVERGED and refined.energy < given.energy:
         return max(EXTRAPOLATION * (given.energy - refined.energy), least)
     return max(Solved(solver, solver.given).error, least)
+
+
+def _refined(given: Admissible) -> Admissible | None:
+    try:
+        return on_refined(given)
+    except ProblemError:  # new nodes on a curve fold a thin element
+        return None
 
 
 def weights(regularisation: float | str | Sequence[float], name: str = "regularisation") -> tuple[float, ...]:

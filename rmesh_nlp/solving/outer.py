@@ -80,7 +80,7 @@ class Outer:
         """
         _ = self.energy
         near = copy(self)  # unlike `replace`, which makes one without models
-        vars(near).update(is_near=True)
+        object.__setattr__(near, "is_near", True)
         return near
 
     @property
@@ -148,10 +148,18 @@ class Outer:
         return admissible(self.discretisation, start=self.contact.given.active)
 
     def continuous(self, q: Array) -> Admissible:
-        """The same at outer variables ``q``, without design variables."""
+        """The same at outer variables ``q``, without design variables; the last one is remembered."""
         if not np.any(q):
             return self.initial
-        return admissible(self.discretisation, self.nodes(q), self.energy(q).equilibrium.active)
+        if q.tobytes() not in self._continuous:
+            start = self.energy(q).equilibrium.active
+            self._continuous.clear()
+            self._continuous[q.tobytes()] = admissible(self.discretisation, self.nodes(q), start)
+        return self._continuous[q.tobytes()]
+
+    @cached_property
+    def _continuous(self) -> dict[bytes, Admissible]:
+        return {}
 
     @property
     def n(self) -> int:
