@@ -135,6 +135,10 @@ class DisplacementSpace:
         """
         return self._with_edges(coefficients, 0.25, 0.5)
 
+    def tools(self, coefficients: Array) -> dict[int, list[float]]:
+        """How far tools have moved, by the number of their obstacle."""
+        return dict(zip(self.problem.tools, coefficients[:, self.n_nodes :].T.tolist(), strict=True))
+
     def coefficients(self, values: Array) -> Array:
         """(components, nodes) coefficients of the field with values at the nodes' points."""
         return self._with_edges(values, -0.5, 2.0)

@@ -152,7 +152,8 @@ def fields_of(solution: Solution) -> SolutionFields:
         solver = ContactSolver(problem)
         solved = solver.solve(X)
         stresses = contact_stresses(space, X, solved.normal_force, solved.tangential_force)
-        before = state_of(problem, X, space.values(solver.displacement.values(solved.u)), *stresses)
+        u = solver.displacement.values(solved.u)
+        before = state_of(problem.placed(space.tools(u)), X, space.values(u), *stresses)
     return SolutionFields(space.elements, before, _of_state(final), mobility, multipliers=multipliers)
 
 

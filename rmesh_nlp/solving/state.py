@@ -205,7 +205,7 @@ def measured(outer: Outer, q: Array, *, audit: bool = True) -> State:
         ),
         sticking_nodes=None if sliding is None else rows.size - sliding,
         sliding_nodes=sliding,
-        tools=dict(zip(at.problem.tools, displacement[:, space.n_nodes :].T.tolist(), strict=True)),
+        tools=space.tools(displacement),
         contact=contact_results(space, nodes, system, solved) if is_solved else {},
         continuous=continuous,
         corrections={} if continuous is None else corrections(at.contact, nodes, solved, continuous),

@@ -55,6 +55,13 @@ def test_forces_balance_at_the_tool(name: str, order: int) -> None:
         assert np.nanmin(fields_of(solution).final.gap) == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.slow
+def test_on_another_mesh_the_given_one_is_drawn_with_its_tool_where_it_ended() -> None:
+    problem = pressed(TOOLS["roller"], motion=rm.Motion(0.01), order=1)
+    fields = fields_of(rm.solve(problem, "joint", accuracy=0.02))
+    assert np.nanmin(fields.given.gap) == pytest.approx(0, abs=1e-12)
+
+
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("name", ["punch", "roller", "free roller", "along edges"])
 def test_no_other_place_of_the_tool_has_less_energy(name: str, order: int) -> None:
