@@ -220,7 +220,9 @@ def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
         raise BadInputError(f"{boundary!r} may meet {len(parts)} obstacles: give each a boundary of its own")
     every = space.problem.obstacles
     names = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
-    raise BadInputError(f"{boundary!r} is not a contact boundary: choose from {', '.join(names) or 'none'}")
+    raise BadInputError(
+        f"{boundary!r} is not a contact boundary: choose from {', '.join(map(repr, names)) or 'none'}"
+    )
 
 
 def _forces_on(on: Fields, boundary: str) -> Forces:

@@ -37,7 +37,7 @@ def united(mesh: MeshTri, obstacles: tuple[Obstacle, ...]) -> tuple[MeshTri, tup
     for a, b in combinations([one for one in obstacles if one.boundary in names], 2):
         both = names[a.boundary], names[b.boundary]
         meet = np.intersect1d(*(mesh.facets[:, each] for each in both)).size
-        if meet and a.surface == b.surface:
+        if meet and a.boundary != b.boundary and a.surface == b.surface:
             name = f"{a.boundary} and {b.boundary}"
             rest = (one for one in obstacles if one is not a and one is not b)
             mesh = mesh.with_boundaries({name: np.union1d(*both)})

@@ -141,7 +141,7 @@ WRONG = {  # the last ones are told by a problem only: Example 6.2 without an ex
     "unknown boundary 'tip'": ("mean(tip, uy)",),
     "the nearest is node": ("node(3.9, 1, uy)",),
     "mean": ("mean(top, __import__('os'))",),
-    "'top' is not a contact boundary: choose from contact": ("peak-pressure(top, 1, 3)", "resultant(top)"),
+    "'top' is not a contact boundary: choose from 'contact'": ("peak-pressure(top, 1, 3)", "resultant(top)"),
     r"shear\(contact\): contact on 'contact' is without friction": ("shear(contact)",),
     "reference pressure must be positive, got 0": ("contact-length(contact, 0)",),
     r"expected contact-length\(NAME, P\)": ("contact-length(contact)",),
