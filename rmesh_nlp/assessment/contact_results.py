@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,8 +97,12 @@ def _vector(nodes: Array, pressure: ContactStress, friction: ContactStress) -> d
     return dict(zip(("force_x", "force_y", "moment"), totals.tolist(), strict=True))
 
 
-def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) -> Iterator[str]:
-    """A sentence for each peak of the pressure, well above its neighbours, that may have no limit."""
+def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) -> dict[str, str]:
+    """A sentence for each peak of the pressure, well above its neighbours, that may have no limit.
+
+    By its boundary.
+    """
+    said = dict[str, str]()
     for part in space.contact_sets if space.problem.components == 2 else ():
         (on,) = recovered(space, nodes, part, state.normal_force)
         pressure = on.values[: space.n_vertices]
@@ -110,8 +114,10 @@ def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) 
         is_end = on.ends[top] and not on.even_ends[top] and not _is_sharp(space, part, nodes, top)
         if is_kink or is_end:
             place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
-            text = f"the largest pressure is at {place} {str(part.obstacle.boundary)!r}, where it may have "
-            yield text + "no limit: it can grow with each refinement"
+            name = str(part.obstacle.boundary)
+            text = f"the largest pressure is at {place} {name!r}, where it may have no limit: it can grow "
+            said[name] = text + "with each refinement"
+    return said
 
 
 def _is_sharp(space: DisplacementSpace, part: ContactSet, nodes: Array, vertex: int) -> bool:

@@ -217,7 +217,7 @@ def measured(outer: Outer, q: Array, *, audit: bool = True) -> State:
         warnings=(
             *(warning.message for warning in penetration_warnings(passing)),
             *_ambiguous(exact),
-            *unlimited_peaks(space, nodes, solved),
+            *unlimited_peaks(space, nodes, solved).values(),
         ),
         doubts=setup_warnings(at.contact, load, nodes, solved),
     )
