@@ -97,6 +97,8 @@ def test_a_rise_of_a_distortion_that_was_zero_is_measured_in_units_of_its_densit
     for rise, improved in ((1e-17, True), (2e-9, True), (4e-9, False)):
         risen = replace(found.final, objective_audited=rise)
         assert replace(found, final=risen).improved is improved
+    broken = replace(found.given, violation=1e-3)  # any point that obeys the constraints is better
+    assert replace(found, given=broken, final=replace(found.final, objective_audited=1.0)).improved
 
 
 @pytest.mark.parametrize("name", EXPLOITS)
