@@ -106,7 +106,8 @@ class Auto(Chooser):
         if free.n == 0:
             return Nested(), "nested: no node can move"
         first = problem.at_design()
-        if any(_conforms(first, part) for part in first.obstacles if first.order == 2 or part.other):
+        along = [part for part in first.obstacles if first.order == 2 or part.other]
+        if first.components == 2 and any(_conforms(first, part) for part in along):
             why = "fixed: nodes on arcs that fit what they touch gain by moving only where gaps do not hold "
             return Fixed(), f"{why}between nodes; with delta they are relocated"
         why = "cascade: relocation without move limits"
