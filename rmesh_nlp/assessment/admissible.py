@@ -124,17 +124,12 @@ class Continuous:
     def shifted(self, contact: ContactSet, by: Coefficient) -> Continuous:
         """The same with the straight foundation of a contact set raised along its normal by a length."""
         other, offset, gap = copy(self), self._bare.offset.copy(), contact.obstacle.offset
-        offset[contact.rows] -= self.at_nodes(by)[contact.nodes]
+        offset[contact.rows] -= self.space.interpolant(by, self.body.nodes)[0, contact.nodes]
         vars(other).update(_bare=self._bare.with_offset(offset), _reduced=self._reduced)
         raised = replace(contact.obstacle, offset=lambda x, y: at(gap, x, y) - at(by, x, y))
         other.cells = [cells for cells in self.cells if cells.contact.number != contact.number]
         other.cells += cells_of(self.body, self.space, replace(contact, obstacle=raised))
         return other
-
-    def at_nodes(self, coefficient: Coefficient) -> Array:
-        """(nodes,) coefficients of a function of position."""
-        values = on_points(coefficient, self.space.points(self.body.nodes))
-        return self.space.coefficients(values[None])[0]
 
     @property
     def is_open(self) -> bool:

@@ -56,7 +56,6 @@ from rmesh_nlp.fem.stress import strain_energies
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.settings import Values
@@ -228,7 +227,7 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
     if kind in ("resultant", "pressure"):
         part = contact_on(space, name)
         (forces,) = nodal_forces(space, nodes, part, on.state.normal_force)
-        (weights,) = space.coefficients(on_points(Expression(weight), space.points(nodes))[None])
+        (weights,) = space.interpolant(Expression(weight), nodes)
         gap[part.rows] = -weights[part.nodes]
         return Quantity(float(weights @ forces), on.dual(gap, push), None, part, weights)
     if kind in RESULTS:

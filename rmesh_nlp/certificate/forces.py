@@ -40,7 +40,8 @@ def force_bounds(
     is known.
     """
     continuous, active, rows = exact.continuous, exact.state.active, contact.rows
-    shape, tool, is_whole = continuous.at_nodes(weight)[contact.nodes], contact.obstacle, not callable(weight)
+    shape = continuous.space.interpolant(weight, exact.body.nodes)[0, contact.nodes]
+    tool, is_whole = contact.obstacle, not callable(weight)
     if is_whole and tool.force is not None and not np.any(np.array(tool.normal)[~np.array(tool.moves)]):
         return (float(np.dot(tool.force, tool.normal)),) * 2
 

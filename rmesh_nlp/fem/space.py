@@ -15,7 +15,7 @@ from rmesh_nlp.fem.cells import measured_rule
 from rmesh_nlp.meshes.geometry import lengths, members_of
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet
 
 
@@ -138,6 +138,10 @@ class DisplacementSpace:
     def tools(self, coefficients: Array) -> dict[int, list[float]]:
         """How far tools have moved, by the number of their obstacle."""
         return dict(zip(self.problem.tools, coefficients[:, self.n_nodes :].T.tolist(), strict=True))
+
+    def interpolant(self, coefficient: Coefficient, X: Array) -> Array:
+        """(1, nodes) coefficients of a function of position, vertices at X (2, vertices)."""
+        return self.coefficients(on_points(coefficient, self.points(X))[None])
 
     def coefficients(self, values: Array) -> Array:
         """(components, nodes) coefficients of the field with values at the nodes' points."""

@@ -117,7 +117,7 @@ def _off(
         case ca.OP_ATAN:
             return _off(ca.OP_ATAN2, v, a, r, 1, 0)
         case ca.OP_ATAN2:
-            is_cut = ca.logic_and(abs(a) <= r, b <= s)
+            is_cut = ca.logic_and(abs(a) <= r, b < 0)
             return ca.if_else(is_cut, np.inf, -ca.log(1 - (r + s) / ca.sqrt(a**2 + b**2)))
         case ca.OP_FMIN | ca.OP_FMAX:
             return ca.if_else(v == a, r, s)

@@ -101,7 +101,7 @@ def bounded(
         raise BadInputError(f"there is nothing to certify: the solution is {assessment.status.value}")
     problem, first = final.problem, given.problem
     nodes, exact = final.mesh.p, _on_polygon(final, final.continuous)
-    space, windows = exact.continuous.space, []
+    space, own, windows = exact.continuous.space, DisplacementSpace(problem), []  # refined, and not
     under: dict[str, Callable[[float], ContactProblem]] = {
         text: partial(_pressed, exact.problem, *at) for text, at in of_tools(problem).items()
     }
@@ -134,8 +134,9 @@ def bounded(
     bounds = dict[str, Bounds]()
     for text, part, weight in windows:
         if part.rows.size:  # not every gap is given
-            (force,) = nodal_forces(space, nodes, part, final.equilibrium.normal_force)
-            value = float(force @ exact.continuous.at_nodes(weight))
+            pressing = own.contact_sets[part.number]
+            (force,) = nodal_forces(own, nodes, pressing, final.equilibrium.normal_force)
+            value = float(force @ own.interpolant(weight, nodes)[0])
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
             bounds[text] = Bounds(low, value, high, is_known)

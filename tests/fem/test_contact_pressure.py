@@ -12,6 +12,7 @@ import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import Continuous
 from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
 from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.setup_warnings import check
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces, recovered
 from rmesh_nlp.io.problem_file import load_problem
@@ -55,7 +56,7 @@ def test_uniform_pressure_beside_a_support_is_exact(order: int) -> None:
     assert bounds.lower <= bounds.value == pytest.approx(5, rel=1e-9)
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [1, 2])
 def test_contact_ends_at_a_vertex_without_force_or_before_it_at_order_2(order: int) -> None:
     """A vertex with next to no force is the last one that touches; quadratic pressures may end before."""
     problem = rm.ContactProblem(
@@ -68,12 +69,12 @@ def test_contact_ends_at_a_vertex_without_force_or_before_it_at_order_2(order: i
     space, nodes = ContactSolver(problem).discretisation.space, problem.mesh.p
     (part,) = space.contact_sets
     x = space.points(nodes)[0, part.nodes]
-    force = np.where((x < 5) & (np.mod(x, 1) == 0), 1.0, np.where(x == 5, 1e-9, 0.0))
+    force = np.where((x == 3) | (x == 4), 1.0, np.where((x == 2) | (x == 5), 1e-9, 0.0))
     (found,) = recovered(space, nodes, part, force)
-    assert (found.length(1e-12) >= 5) == (order == 1)
+    assert found.length(1e-12) == pytest.approx(3 if order == 1 else 1, abs=1e-6)
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [1, 2])
 def test_linear_pressure_is_recovered_on_edges_of_different_lengths(order: int) -> None:
     """Forces of the pressure 1 + x itself, on a boundary with a free end and a shared one."""
     problem = slab(order)
@@ -275,10 +276,8 @@ def test_peak_without_a_limit_is_told(wide: float, words: str) -> None:
     assert any(words in text for text in rm.solve(problem, "fixed").record()["warnings"])
 
 
-@pytest.mark.slow
 def test_resolution_is_warned_of_by_one_rule() -> None:
     """Less than three vertices under pressure, or at order 2 two edges."""
     for order, n, is_said in ((1, 8, True), (2, 8, True), (1, 16, False), (2, 16, False)):
-        problem = replace(hertz(n), order=order)
-        texts = rm.solve(problem, "fixed").record()["warnings"]
+        texts = check(replace(hertz(n), order=order))
         assert any("too coarse" in text for text in texts) is is_said

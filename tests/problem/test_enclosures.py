@@ -49,6 +49,7 @@ def test_rules_are_exact_on_cells_that_are_resolved(text: str, points: int) -> N
 @pytest.mark.parametrize("hidden", [*HIDDEN[:7], *HIDDEN[9:]])  # not to be cut at switches first
 def test_nothing_hides_in_a_cell_that_is_resolved(hidden: PositionFunction) -> None:
     square = np.array([[0, 1, 0, 1], [0, 0, 1, 1]])[:, None]
+    assert not resolved(Expression("atan2(y, x)"), square - [[[99]], [[0.5]]], 10)[0]  # nor a cut
     for low, width in ((1.98, 0.02), (0.0, 3.0), (1.989, 0.011)):
         assert not resolved(hidden, low + width * square, 10)[0]
 
