@@ -104,22 +104,24 @@ def _zeros_along(
     """Edges and places of changes of sign on parts of edges, and whether there are certainly no others.
 
     ``degree`` is that of a polynomial along each part: of its pieces those are halved that may have several
-    zeros.
+    zeros, until it is all rounding: about a double zero signs are not certain.
     """
+    is_certain = degree is not None
     inner, pieces = max(degree or 1, 1), 1 if degree is not None else SAMPLES
     rows, width = np.repeat(owner, pieces), np.repeat(end - begin, pieces) / pieces
     low = np.repeat(begin, pieces) + width * np.tile(np.arange(pieces), begin.size)
     inside = 0.0 if degree is None else PROVED  # at the ends others may jump
     share, to_bernstein = np.clip(np.linspace(0, 1, inner + 1), inside, 1 - inside), _to_bernstein(inner)
-    at, begin, end, scale = rows[:0], low[:0], low[:0], 0.0
+    at, begin, end, scale, is_whole = rows[:0], low[:0], low[:0], 0.0, True
     while rows.size and np.max(width) > ROUNDING:
         values = value(rows, low[:, None] + np.outer(width, share))
         scale = max(scale, magnitude(values))
-        values = np.where(np.abs(values) <= 2 * PROVED * scale, 0.0, values)
-        coefficients = values @ to_bernstein.T
-        none, single = _one_sign(coefficients), _one_sign(np.diff(coefficients, axis=1))
+        coefficients, tiny = values @ to_bernstein.T, 2 * PROVED * scale
+        vanishes = np.all(np.abs(coefficients) <= tiny, axis=1)
+        is_certain &= is_whole or not np.any(vanishes)
+        none, single = _one_sign(coefficients) | vanishes, _one_sign(np.diff(coefficients, axis=1))
         # a piece that begins at a zero is a part of its own
-        starts = (values[:, 0] == 0) & (low > 0)
+        starts, is_whole = (np.abs(values[:, 0]) <= tiny) & (low > 0), False
         for chosen, first, last in ((~none & single, share[0], share[-1]), (starts, 0, 0)):
             at, begin = np.append(at, rows[chosen]), np.append(begin, (low + first * width)[chosen])
             end = np.append(end, (low + last * width)[chosen])
@@ -128,7 +130,7 @@ def _zeros_along(
         rows, low = np.tile(rows[is_open], 2), np.tile(low[is_open], 2)
         low[rows.size // 2 :] += width[rows.size // 2 :]
     zeros = _bisected(lambda s: value(at, s[:, None])[:, 0], begin, end) if at.size else begin
-    return at, zeros, degree is not None and rows.size == 0
+    return at, zeros, is_certain and rows.size == 0
 
 
 def _bisected(value: Callable[[Array], Array], begin: Array, end: Array) -> Array:
@@ -176,7 +178,7 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
             width = width / 2
         last = quadratic(owner, corners)
         is_certain &= degree is not None and degree <= 2
-        is_certain &= not np.any(bends[owner] & _have_two_signs(last, tiny))
+        is_certain &= not np.any(bends[owner] & _have_two_signs(last, -tiny))  # zeros within rounding too
         owner, corners = _cut(owner, corners, last[:3], tiny, None if degree == 1 else values)
     return TriangleParts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, as_function, evaluated, once
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, as_function, evaluated, once
 
 COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
 DIFFERENCE = (*COMPARED, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
@@ -56,12 +56,8 @@ def switches(coefficient: Coefficient) -> Switches | None:
     """The switches of a coefficient; None if it is smooth."""
     if not callable(coefficient):
         return None
-    graph = as_function(coefficient)
-    each = _switches_of(graph)
-    if not each:
-        return None
-    functions = tuple(ca.Function("switch", graph.sx_in(), [ca.densify(one)], OPEN) for one in each)
-    return Switches(functions, tuple(map(_degree_between_switches, functions)))
+    functions = _switches_of(as_function(coefficient))
+    return Switches(functions, tuple(map(_degree_between_switches, functions))) if functions else None
 
 
 def _degree_between_switches(function: ca.Function) -> int | None:
@@ -118,17 +114,21 @@ def _degree(operation: int, a: float, b: float = 0) -> float:
 
 def affine_switches(coefficients: Iterable[Coefficient]) -> list[ca.Function]:
     """The affine ones of all switches of coefficients, each once."""
-    (x, y), each = POSITION, dict[str, ca.Function]()
-    for known in filter(None, map(switches, coefficients)):
-        for function in known.functions:
-            if polynomial_degree(function) == 1:
-                each.setdefault(str(function(x, y)), function)
-    return list(each.values())
+    each = (one for known in filter(None, map(switches, coefficients)) for one in known.functions)
+    return list(_distinct(one for one in each if polynomial_degree(one) == 1))
 
 
-def _switches_of(graph: ca.Function) -> list[ca.SX]:
-    """The switches in a graph as expressions of its inputs, each once."""
-    each, expressions = dict[str, ca.SX](), graph.instructions_sx()
+def _distinct(functions: Iterable[ca.Function]) -> tuple[ca.Function, ...]:
+    """Each once: printed expressions have six digits, by which jumps at 1.3 and 1.3000001 are the same."""
+    each = dict[str, ca.Function]()
+    for function in functions:
+        each.setdefault(function.serialize(), function)
+    return tuple(each.values())
+
+
+def _switches_of(graph: ca.Function) -> tuple[ca.Function, ...]:
+    """The switches in a graph as functions of its inputs, each once."""
+    each, expressions = [], graph.instructions_sx()
     for k in range(graph.n_instructions()):
         operation, expression = graph.instruction_id(k), expressions[k]
         if operation in DIFFERENCE:
@@ -140,5 +140,5 @@ def _switches_of(graph: ca.Function) -> list[ca.SX]:
         else:
             continue
         if not switch.is_constant():
-            each.setdefault(str(switch), switch)
-    return list(each.values())
+            each.append(ca.Function("switch", graph.sx_in(), [ca.densify(switch)], OPEN))
+    return _distinct(each)

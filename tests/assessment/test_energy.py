@@ -165,6 +165,8 @@ def test_triangles_are_split_along_jumps_and_kinks(
             True,
         ),
         (lambda x, y: 1 - ca.atan2(1e-30, x - 1.99) / np.pi, 0.01, True),
+        # zeros whose first six digits are the same
+        (lambda x, y: where(x > 1.3, 100.0, 0.0) - where(x > 1.300004, 100.0, 0.0), 4e-4, True),
     ],
 )
 def test_edges_are_split_at_jumps_and_kinks(coefficient: Coefficient, exact: float, is_certain: bool) -> None:
@@ -191,6 +193,17 @@ def test_what_is_certain_has_no_hidden_parts(hidden: PositionFunction) -> None:
         error = abs(total.value.sum() - exact)
         assert not total.is_certain or error <= total.doubt.sum() + 1e-8 * abs(exact)
     assert abs(along.value.sum() - exact) < 1e-3 * abs(exact)
+
+
+@pytest.mark.parametrize("switch", [lambda x: (x - 1.3) ** 2 - 1e-14, lambda x: (x - 1.2995) ** 3])
+def test_signs_about_a_multiple_zero_are_not_certain(switch: Callable[[Array], Array]) -> None:
+    top, whole = body().edges("top"), body()
+
+    def spike(x, y):
+        return where(switch(x) < 0, 1.0, 0.0)
+
+    assert not over_edges(top, integrand(spike), (spike,)).is_certain
+    assert not over_triangles(whole, np.arange(12), integrand(spike), coefficients=(spike,)).is_certain
 
 
 def test_friction_that_no_rule_integrates_has_a_doubt_that_holds() -> None:
