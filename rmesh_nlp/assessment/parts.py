@@ -117,7 +117,7 @@ def _zeros_along(
         values = value(rows, low[:, None] + np.outer(width, share))
         scale = max(scale, magnitude(values))
         coefficients, tiny = values @ to_bernstein.T, 2 * PROVED * scale
-        vanishes = np.all(np.abs(coefficients) <= tiny, axis=1)
+        vanishes = ~np.any(np.abs(coefficients) > tiny, axis=1)
         is_certain &= is_whole or not np.any(vanishes)
         none, single = _one_sign(coefficients) | vanishes, _one_sign(np.diff(coefficients, axis=1))
         # a piece that begins at a zero is a part of its own

@@ -47,8 +47,8 @@ class Switches:
     degrees: tuple[int | None, ...]
 
     def __call__(self, number: int, points: NDArray) -> Array:
-        """Values (...) of one at ``points`` (2, ...)."""
-        return evaluated(self.functions[number], points)[0]
+        """Values (...) of one at ``points`` (2, ...), 1e300 where they overflow."""
+        return np.clip(evaluated(self.functions[number], points)[0], -1e300, 1e300)
 
 
 @once

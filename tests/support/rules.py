@@ -25,6 +25,7 @@ HIDDEN: tuple[PositionFunction, ...] = (
     lambda x, y: -0.5 * (x - 1.99) / ca.sqrt((x - 1.99) ** 2 + 1e-30),
     lambda x, y: -0.5 / (1 + ca.exp(-1e9 * (x - 1.99))),
     lambda x, y: -0.5 * ca.fmin(ca.fmax(1e12 * (x - 1.99), 0), 1),
+    lambda x, y: -0.5 * ca.fmin(2 ** (1e9 * (x - 1.99)), 1),  # its switch overflows
     lambda x, y: where((x - 1.99) / ca.fabs(x - 1.99) > 0, -0.5, 0.0),
     lambda x, y: -0.5 * ca.fmod(2 * x, 3.98),
     lambda x, y: -1e-3 / ca.fabs(x - 1.99) ** 0.5,
