@@ -124,7 +124,8 @@ class BarrierProgram:
         apart = self._members(u, s) - y
         normal, below, above = self.split(z / y)
         both, turn = below + above, (above - below) / (below + above)
-        springs = np.append(normal, 4 * below * above / np.maximum(both, 1e-300))
+        least, most = np.minimum(below, above), np.maximum(below, above)  # whose product may overflow
+        springs = np.append(normal, 4 * least / (1 + least / np.maximum(most, 1e-300)))
         solve = factorised(self.stiffness + self._rows.T @ (sp.diags_array(springs) @ self._rows))
         residual = self.stiffness @ u - self.load
 
