@@ -194,12 +194,19 @@ class ContactStress:
     def length(self, least: float) -> float:
         """Of the boundary where it presses; of an interior obstacle an area.
 
-        Contact ends within the edge beyond the last vertex with more force than ``least``, or at order 2 in
-        the one before it, where the pressure falls to zero like the root of the distance.
+        Inside of a body the pressure jumps where contact ends: the force of a vertex there, over the largest
+        mean beside it, is the area of contact around it. On a boundary contact ends within the edge beyond
+        the last vertex with more force than ``least``, or at order 2 in the one before it, where the pressure
+        falls to zero like the root of the distance.
         """
         pressing = self.forces > least
         if len(self.cells) == 3:
-            return float(np.sum(self.weights[pressing]))
+            most, full = np.zeros(pressing.size), self.weights.copy()
+            for corner in self.cells:
+                np.maximum.at(most, corner, np.max(self.means[self.cells], axis=0))
+            last = np.unique(self.cells[:, ~np.all(pressing[self.cells], axis=0)])
+            full[last] = self.forces[last] / np.maximum(most[last], 1e-300)
+            return float(np.sum(full[pressing]))
         last, other, size = self._both_ways
         beside = np.bincount(last, self.means[other], pressing.size)  # beyond contact it is zero
         inside = np.sum(size[pressing[last] & pressing[other]]) / 2

@@ -235,6 +235,7 @@ def test_pressure_of_an_obstacle_inside_is_load_and_curvature(order: int) -> Non
     )
     (found,) = results(problem).values()
     assert found.peak_pressure == pytest.approx(10, rel=1e-6)
+    assert found.contact_length == pytest.approx(0.191, rel=0.05)  # the force on a fine mesh, 1.91, over 10
     assert found.force_x is None
 
 
