@@ -151,7 +151,7 @@ class Adaptive(Wrapper):
                         proved = bounded(assess(outer, solved, relocates=False), wanted, 0).bounds
                         for i, text in enumerate(wanted):
                             if text in proved:  # else it is given beforehand
-                                low, _, high, is_sure = proved[text]
+                                low, _, high, is_sure, _ = proved[text]
                                 errors[i] = (high - low) / 2 if is_sure else np.inf
                                 figures[text] = {**proved[text]._asdict(), **figures[text]}
                 excess = errors / allowed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from html import escape
 from numbers import Real
 from typing import TYPE_CHECKING
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Rows = list[tuple[str, str]]
+
+Spans = Mapping[str, Sequence[Sequence[float]]]
+"""Intervals of x or y."""
 
 
 def rich_table(title: str, rows: Rows) -> Table:
@@ -89,6 +93,14 @@ def bounds_in_words(lower: object, upper: object) -> str:
     if low == high:
         return f"equal to {low}"
     return f"at most {high}" if low is None else f"at least {low}" if high is None else f"{low} to {high}"
+
+
+def within_in_words(within: Spans | None) -> str:
+    """Where nearly all of a force acts."""
+    spans = [
+        f"{axis} from {bounds_in_words(*ends)}" for axis, each in (within or {}).items() for ends in each
+    ]
+    return f", at least 95 % of it on {' and '.join(spans)}" if spans else ""
 
 
 def describe(coefficient: object) -> str:

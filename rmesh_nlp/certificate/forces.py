@@ -15,6 +15,9 @@ at 0 obeys
 
 With a gap g between the bounds each side is off by about ``g / s + s P'' / 2``, least for
 ``s = (2 g / P'')^(1/2)``. Any s is valid.
+
+An admissible displacement v obeys ``int p (n . v + offset) <= g``, so what acts where its gap is at least
+``g / f`` is at most f.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
+from rmesh_nlp.display import Spans
 from rmesh_nlp.evaluation import ROUNDING, magnitude
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.coefficients import Coefficient, at
@@ -64,6 +68,29 @@ def force_bounds(
     bend = max(float((force[rows] - now) @ shape), least) if touches else 0.0
     low, high = slope_bounds(upper, lower, gap, bend, float(max(size, np.min(gaps))))
     return max(low, 0.0) if is_whole else low, high
+
+
+BEYOND = 0.05
+"""Part of a force that may act outside of the intervals that are given."""
+
+
+def within(exact: Admissible, lower: float, contact: ContactSet, force: float) -> Spans:
+    """Intervals of x or y, whichever the boundary is longer in, in which all but ``BEYOND`` of a force acts.
+
+    The force is at least ``force``. There are none where they would be all of the boundary.
+    """
+    most = (exact.energy + exact.doubt - lower) / max(BEYOND * force, 1e-300)
+    cells = [each for each in exact.continuous.cells if each.contact.number == contact.number]
+    points = np.concatenate([each.points for each in cells], axis=1)
+    axis = int(np.argmax(np.ptp(points, axis=(1, 2))))
+    is_near = np.concatenate([each.gaps(exact.displacement) for each in cells]) <= most
+    if np.all(is_near):
+        return {}
+    x = np.where(is_near, points[axis], np.nan)[np.any(is_near, axis=1)]
+    x = x[np.argsort(np.nanmin(x, axis=1))]
+    begin, reach = np.nanmin(x, axis=1), np.maximum.accumulate(np.nanmax(x, axis=1))
+    is_first = begin > np.append(-np.inf, reach)[:-1]
+    return {"xy"[axis]: np.stack([begin[is_first], reach[np.roll(is_first, -1)]], axis=1).tolist()}
 
 
 PARTS = (1, 1 / 8)

@@ -23,7 +23,7 @@ from rmesh_nlp.certificate.estimates import (
     of_tools,
     split,
 )
-from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
+from rmesh_nlp.certificate.forces import force_bounds, slope_bounds, within
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ContactSystem
@@ -139,7 +139,8 @@ def bounded(
             value = float(force @ own.interpolant(weight, nodes)[0])
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
-            bounds[text] = Bounds(low, value, high, is_known)
+            where = None if callable(weight) else within(exact, after.lower, part, low)
+            bounds[text] = Bounds(low, value, high, is_known, where)
     if ENERGY in quantities:
         bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
     bounds |= {text: _load_bounds(exact, after, more, refinements) for text, more in under.items()}

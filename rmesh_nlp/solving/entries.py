@@ -305,10 +305,11 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("guaranteed_initial", bool | None, "The same of the error on the given mesh.",
               "certificate.guaranteed_initial"),
         Entry("certificate_remark", Text, "Why they are not.", _remark),
-        Entry("bounds", dict[str, dict[str, Number | bool]],
+        Entry("bounds", dict[str, Values],
               "By quantity, `resultant(NAME)` of each contact boundary: that of the exact solution is at "
               "least `lower` and at most `upper` (null: no bound), `value` is the computed one; `guaranteed` "
-              "whether they are bounds, not estimates ([how](certificate.md#bounds-of-contact-forces)).",
+              "whether they are bounds, not estimates ([how](certificate.md#bounds-of-contact-forces)); "
+              "`within` intervals of x or y in which at least 95 % of a force acts, if not all.",
               _bounds),
     ),
     "What formulations add": (
@@ -334,7 +335,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("start_energies", list[Number], "Energy that each one reached.", unit="energy"),
         Entry("start_values", list[Number] | None, "Value that each one reached, of another objective."),
         Entry("start_spread", Number, "The largest less the least."),
-        Entry("estimates", dict[str, dict[str, Number | bool]],
+        Entry("estimates", dict[str, Values],
               "By quantity: the best known `value`, its estimated `error`, the `computed` value, whether it "
               "`converges`, and where asked for `lower`, `upper` and whether they are `guaranteed` "
               "([how](accuracy.md)); after other formulations than `adaptive` of the energy and of contact "

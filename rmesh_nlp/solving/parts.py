@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, by_certificate
-from rmesh_nlp.display import bounds_in_words, figure
+from rmesh_nlp.display import Spans, bounds_in_words, figure, within_in_words
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.settings import Values
 
@@ -190,13 +190,15 @@ def plain(value: Any) -> Any:
 class Bounds(NamedTuple):
     """Bounds of a quantity of the exact solution, infinite where there is none, and the computed value.
 
-    They are bounds, not estimates, if ``guaranteed``: if both of the energy are.
+    They are bounds, not estimates, if ``guaranteed``: if both of the energy are. At least 95 % of a normal
+    force acts in ``within``.
     """
 
     lower: float
     value: float
     upper: float
     guaranteed: bool
+    within: Spans | None = None
 
     def nearest(self, value: float) -> float:
         """A value, or the bound that it violates if that is guaranteed."""
@@ -290,5 +292,6 @@ class Certificate:
         return [
             f"{name} {bounds_in_words(of.lower, of.upper)}, "
             f"{'guaranteed' if of.guaranteed else 'estimated'} (computed: {figure(of.value)})"
+            f"{within_in_words(of.within)}"
             for name, of in self.bounds.items()
         ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from rmesh_nlp.display import Rows, bounds_in_words, figure
+from rmesh_nlp.display import Rows, bounds_in_words, figure, within_in_words
 from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
@@ -111,7 +111,7 @@ def estimate_in_words(of: ByName) -> str:
     computed = figure(of["computed"])
     said += f" (computed {computed})" if computed != figure(of["value"]) else ""
     if of.get("guaranteed"):
-        said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}"
+        said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}" + within_in_words(of["within"])
     return said
 
 

@@ -39,7 +39,7 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.coefficients import PositionFunction
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.certify import certify, with_upper
-from support.certificates import distorted, guess_on, of_values, proved
+from support.certificates import distorted, guess_on, of_values, proved, signorini
 from support.formulations import fixed, joint
 from support.frames import turned
 from support.orders import ORDERS
@@ -458,21 +458,6 @@ def smooth(n: int, order: int) -> ContactProblem:
     source = Laplace(lambda x, y: 2 * np.pi**2 * ca.sin(np.pi * x) * ca.sin(np.pi * y))
     pull = Traction("right", (lambda x, y: -np.pi * ca.sin(np.pi * y),))
     return ContactProblem(rectangle(n, n), source, ("left", "bottom", "top"), tractions=pull, order=order)
-
-
-def signorini(n: int, order: int) -> ContactProblem:
-    """r^(3/2) cos(3 t / 2), which leaves the obstacle at the origin; held where it touches left of -1/2."""
-    parts = {
-        "held": lambda x: np.isclose(x[1], 0) & (x[0] < -0.5),
-        "free": lambda x: np.isclose(x[1], 0) & (x[0] > -0.5),
-    }
-    mesh = rectangle(2 * n + 1, n, x=(-1, 1)).with_boundaries(parts)
-    size = lambda x, y: 1.5 * (x * x + y * y) ** 0.25  # noqa: E731
-    ux = lambda x, y: size(x, y) * ca.cos(ca.atan2(y, x) / 2)  # noqa: E731
-    uy = lambda x, y: -size(x, y) * ca.sin(ca.atan2(y, x) / 2)  # noqa: E731
-    fluxes = {"left": lambda x, y: -ux(x, y), "right": ux, "top": uy}
-    pulls = tuple(Traction(side, (flux,)) for side, flux in fluxes.items())
-    return ContactProblem(mesh, Laplace(), "held", Obstacle("free", (1.0,)), tractions=pulls, order=order)
 
 
 def less_half_the_work(corners: list[complex]) -> float:

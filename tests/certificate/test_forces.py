@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -20,7 +21,7 @@ from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.certify import certify
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
-from support.certificates import distorted
+from support.certificates import distorted, signorini
 from support.formulations import fixed
 from support.objectives import value_on, values_at
 from support.orders import ORDERS
@@ -57,6 +58,32 @@ def test_force_of_an_obstacle_in_the_interior(order: int) -> None:
         lower, upper = bounds_of(problem)
         assert lower < 2 * (1 - 2 * np.sqrt(0.05)) < upper
         assert upper - lower < {1: 1.2, 2: 0.3}[order]
+
+
+def test_nearly_all_of_a_force_acts_where_it_is_proved_to() -> None:
+    """The pressure 3/2 |x|^(1/2) up to the origin: on (a, b) acts |a|^(3/2) - |b|^(3/2)."""
+    bounds = certify(fixed.solve(signorini(8, 2))).bounds["resultant(free)"]
+    assert bounds.guaranteed
+    ((begin, end),) = bounds.within["x"]
+    assert begin == pytest.approx(-9 / 17)
+    assert -end < (0.05 * (9 / 17) ** 1.5) ** (2 / 3)
+    assert end < 0.1  # of a boundary that goes on to 1
+
+
+@pytest.mark.slow
+def test_forces_act_on_intervals_with_a_gap_between_them() -> None:
+    foundation = Obstacle.graph("bottom", lambda x, y: -0.01 * ca.sin(np.pi * x / 2) ** 2)
+    tool = Dirichlet("top", (0.0, -0.003))
+    found = {}
+    for n in (8, 16):
+        problem = replace(body(n, 2, 0.0), dirichlet=(tool,), obstacle=foundation, tractions=())
+        solution = fixed.solve(problem)
+        found[n] = certify(solution).bounds["resultant(bottom)"]
+    ((a, b), (c, d)) = found[8].within["x"]
+    assert (a, d) == (0, 2)
+    assert 0.2 < b < 0.9 < 1.1 < c < 1.8
+    fine = certify(solution, quantities=[f"pressure(bottom, where((x - {b})*(x - {c}) < 0, 1, 0))"])
+    assert [*fine.bounds.values()][-1].value < 0.05 * found[8].lower
 
 
 def body(n: int, order: int, friction: float) -> ContactProblem:
