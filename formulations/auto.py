@@ -11,23 +11,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
-import numpy as np
-
 from formulations.cascade import Cascade
 from formulations.fixed import Fixed
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
 from formulations.schedule import Schedule
-from rmesh_nlp.evaluation import ROUNDING, magnitude
-from rmesh_nlp.fem.edge_gaps import with_edge_gaps
+from rmesh_nlp.fem.edge_gaps import conform, with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import validity
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.regularisation import weights
-from rmesh_nlp.problem import ContactProblem, Obstacle
-from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Open
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 from rmesh_nlp.solving.plan import example_objective
@@ -75,7 +71,7 @@ class Auto(Chooser):
             degree = along.quadrature if isinstance(along.quadrature, int) else 0
             along = along.with_rule(along.exact_rule or max(degree, DEGREE))
         if along.obstacles != problem.obstacles:
-            why += "; gaps along edges: a foundation is curved"
+            why += "; gaps along edges: a foundation is curved, or an interference varies"
         return Choice(formulation, along, why)
 
     def _chosen(
@@ -107,7 +103,7 @@ class Auto(Chooser):
             return Nested(), "nested: no node can move"
         first = problem.at_design()
         along = [part for part in first.obstacles if first.order == 2 or part.other]
-        if first.components == 2 and any(_conforms(first, part) for part in along):
+        if first.components == 2 and any(conform(first, part) for part in along):
             why = "fixed: nodes on arcs that fit what they touch gain by moving only where gaps do not hold "
             return Fixed(), f"{why}between nodes; with delta they are relocated"
         why = "cascade: relocation without move limits"
@@ -124,11 +120,3 @@ class Auto(Chooser):
             return self.cascade
         *before, last = weights(self.regularisation)
         return replace(self.cascade, regularisation=last, schedule=tuple(before) or self.cascade.schedule)
-
-
-def _conforms(problem: ContactProblem, obstacle: Obstacle) -> bool:
-    """Whether arcs of the body bend at least four times as much as the gap along them."""
-    edges = Body(problem, problem.mesh.p).edges_of(obstacle)
-    points = edges.at(np.arange(edges.size), np.tile([0, 0.5, 1], (edges.size, 1)))[0]
-    arc, gap = (magnitude(np.diff(part, 2)) for part in (points, obstacle.distances(points)))
-    return arc > 4 * gap + ROUNDING * magnitude(points)

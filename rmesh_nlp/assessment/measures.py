@@ -34,23 +34,21 @@ def corrections(
 ) -> dict[str, float]:
     """What the continuous energy differs by from that of a contact solution, by what it is due to.
 
-    Penetration between nodes: the work of the contact forces along the additional stand-offs. Friction
-    lumped at nodes: the mean difference of its energies at the two displacements. The shape of the body: that
-    of the strain energies at the admissible one. Quadrature of the loads: what is left. On a mesh that had to
-    be refined all of it counts as penetration.
+    Quadrature of the loads, and friction lumped at nodes: the mean difference of their work and its energy at
+    the two displacements. The shape of the body: that of the strain energies at the admissible one.
+    Penetration between nodes: what is left, all of it on a mesh that had to be refined.
     """
-    if exact.problem is not model.problem:
-        return {**dict.fromkeys(EXPLOITS, 0.0), "penetration": exact.energy - solved.energy}
-    system = model.system(nodes)
-    before, friction = (system.slip_bound @ np.abs(system.tangents @ u) for u in (solved.u, exact.state.u))
-    friction_before = exact.continuous.friction(model.displacement.values(solved.u))[0]
-    force = (solved.normal_force + exact.state.normal_force) / 2
-    causes = {
-        "penetration": float(force @ (system.offset - exact.system.offset)),
-        "friction": (exact.friction - friction + friction_before - before) / 2,
-        "geometry": exact.strain - model.strain(nodes, exact.state.u),
-    }
-    return {"quadrature": exact.energy - solved.energy - sum(causes.values()), **causes}
+    causes, continuous = dict.fromkeys(EXPLOITS, 0.0), exact.continuous
+    if exact.problem is model.problem:
+        system, strain = model.system(nodes), 0.0
+        for u in (solved.u, exact.state.u):
+            displacement = model.displacement.values(u)
+            work, lumped = model.work(nodes, u), float(system.slip_bound @ np.abs(system.tangents @ u))
+            causes["quadrature"] += (work - float(continuous.load @ displacement.T.ravel())) / 2
+            causes["friction"] += (continuous.friction(displacement)[0] - lumped) / 2
+            strain = system.energy(u) + work - lumped
+        causes["geometry"] = exact.strain - strain
+    return {**causes, "penetration": exact.energy - solved.energy - sum(causes.values())}
 
 
 def residuals(system: ContactSystem, state: Equilibrium | OwnState) -> ContactResiduals:

@@ -145,11 +145,10 @@ class ContactSolver:
         """The contact solution on the mesh as given; whoever needs it shares it."""
         return solve(self.given_system, self.start)
 
-    def strain(self, nodes: Array, u: Array) -> float:
-        """Strain energy of a displacement at vertex positions."""
-        given = self.discretisation.vertices.values(nodes)
-        value, pull, _ = self._elastic(given)
-        return 0.5 * float(u @ (self._elastic.hessian(given) @ u)) + float(pull @ u) + value
+    def work(self, nodes: Array, u: Array) -> float:
+        """Work of the loads along a displacement at vertex positions."""
+        value, push, _ = self._loads(self.discretisation.vertices.values(nodes))
+        return -value - float(push @ u)
 
     def slips(self, nodes: Array, u: Array, design: Array | None = None) -> Array:
         """Displacements (gaps,) along the tangents at vertex positions (2, vertices) and a design."""

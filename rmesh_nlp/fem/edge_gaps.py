@@ -71,12 +71,29 @@ def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
     first = problem.at_design()  # foundations that depend on a design: as they are at the start
     body = Body(first, problem.mesh.p)
     chosen = tuple(
-        replace(obstacle, gap="edge")
-        if obstacle.gap != "edge" and not obstacle.other and _rises(body, at_start)
-        else obstacle
+        replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, at_start) else obstacle
         for obstacle, at_start in zip(problem.obstacles, first.obstacles, strict=True)
     )
     return problem if chosen == problem.obstacles else replace(problem, obstacle=chosen)
+
+
+def with_held_arcs(problem: ContactProblem) -> ContactProblem:
+    """The problem with contact nodes held on arcs that :func:`conform`; itself if they are or none does.
+
+    How far sides pass into each other between these nodes depends on how slips differ along the arc.
+    """
+    first, motion = problem.at_design(), problem.motion
+    arcs = [str(part.boundary) for part in first.obstacles if first.components == 2 and conform(first, part)]
+    more = tuple(name for name in arcs if name not in motion.pinned)
+    return replace(problem, motion=replace(motion, pinned=motion.pinned + more)) if more else problem
+
+
+def conform(problem: ContactProblem, obstacle: Obstacle) -> bool:
+    """Whether arcs of the body bend at least four times as much as the gap along them."""
+    edges = Body(problem, problem.mesh.p).edges_of(obstacle)
+    points = edges.at(np.arange(edges.size), np.tile([0, 0.5, 1], (edges.size, 1)))[0]
+    arc, gap = (magnitude(np.diff(part, 2)) for part in (points, obstacle.distances(points)))
+    return arc > 4 * gap + ROUNDING * magnitude(points)
 
 
 def _rises(body: Body, obstacle: Obstacle) -> bool:
@@ -114,7 +131,7 @@ def edge_gaps(on: Fields, part: ContactSet, rows: Index) -> Iterator[ElementGrou
     least = max(TINY, SMOOTH[space.order] * highest / unit)
     free = np.zeros(space.n_nodes)
     free[part.nodes] = 1.0
-    given = _given_along(space, at_start, np.array(moved))
+    given = _given_along(space, part, at_start, np.array(moved))
     for patch in patches(space, part):
         along = np.vstack([space.nodes_of(patch.vertices[list(cell)]) for cell in patch.cells])
         local = [
@@ -175,11 +192,11 @@ def patches(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
         yield Patch(n == 2, of_patch, sides, np.array(rows), np.array(vertices, dtype=np.int64).T)
 
 
-def _given_along(space: DisplacementSpace, obstacle: Obstacle, moved: Array) -> Array:
-    """(nodes,) the displacement along the normal that is given, or zero, less that of the foundation."""
+def _given_along(space: DisplacementSpace, part: ContactSet, obstacle: Obstacle, moved: Array) -> Array:
+    """(nodes,) the displacement along the normal that is given, or zero, less that of what is met."""
     held, value = space.given()
     normals = obstacle.normals(space.points(space.problem.mesh.p))
-    return np.sum(normals * (np.where(held, value, 0.0)[:, : space.n_nodes] - moved), axis=0)
+    return np.sum(normals * (part.relative(np.where(held, value, 0.0))[:, : space.n_nodes] - moved), axis=0)
 
 
 def _gap_function(

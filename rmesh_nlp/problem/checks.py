@@ -57,9 +57,8 @@ def check_pairs(problem: ProblemData) -> None:
     if problem.pairs:
         check_names(problem)
     for number, obstacle in enumerate(problem.obstacles):
-        if obstacle.other and (problem.components == 1 or problem.shapes or obstacle.gap == "edge"):
-            reason = "needs an elastic body" if problem.components == 1 else "takes no gap along edges"
-            reason = "cannot be moved by the shape of a design" if problem.shapes else reason
+        if obstacle.other and (problem.components == 1 or problem.shapes):
+            reason = "cannot be moved by the shape of a design" if problem.shapes else "needs an elastic body"
             raise ProblemError(("contact", number), f"a pair of boundaries {reason}")
 
 
