@@ -89,7 +89,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     problem for which no certificate is known.
     """
     if not problem.has_energy:
-        raise NotCertifiableError("with Coulomb friction no energy is minimised")
+        raise NotCertifiableError("with Coulomb friction no energy is minimised: --accuracy estimates errors")
     skeleton, u = skeleton_of(problem, nodes), guess.displacement
     field = equilibrated(problem, skeleton, guess)
     conditions, load = field.balance.assembled.conditions, field.load

@@ -173,6 +173,15 @@ def _is_seen_inside(offset: Coefficient, skeleton: Skeleton, elements: Index) ->
     return not np.any(is_narrow) and bool(np.all(resolved(offset, points, RULES[1])[0]))
 
 
+def check_normal(obstacle: Obstacle) -> None:
+    """Raise a NotCertifiableError unless an obstacle has one normal."""
+    if obstacle.level is not None:
+        raise NotCertifiableError(
+            "the normal of a curved foundation or pair turns along an edge: --accuracy estimates errors; "
+            "a foundation by its height above x has one normal, and a certificate"
+        )
+
+
 def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> tuple[ContactPart, ...]:
     """Of each boundary with contact the edges on which the gap is not given beforehand."""
     parts: list[ContactPart] = []
@@ -180,11 +189,7 @@ def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> t
     for number, (obstacle, partner) in enumerate(zip(problem.obstacles, problem.partners, strict=True)):
         if isinstance(obstacle.boundary, Place):
             continue
-        if obstacle.level is not None:
-            raise NotCertifiableError(
-                "the normal of a curved foundation or pair turns along an edge; a foundation by its height "
-                "above x has one normal, and a certificate"
-            )
+        check_normal(obstacle)
         normal = np.array(obstacle.normal) != 0
         both = np.unique(problem.mesh.boundaries[obstacle.boundary])[None]
         if obstacle.other:
