@@ -310,7 +310,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             lacking = gained if text == ENERGY else np.nan
             above = np.nan_to_num(lacking) if problem.has_energy else 0.0  # then no energy is least
             return Estimate(computed - above, lacking, computed, defect**2, half=lacking / 2)
-        push, gap, end = np.zeros(system.load.size), np.zeros(system.offset.size), 0.0
+        push, gap = np.zeros(system.load.size), np.zeros(system.offset.size)
         if load is not None:
             edges, tools = load
             push = turned(assembled.turn, edges, 0 * assembled.conditions.inside.offset, tools)[free]
@@ -328,6 +328,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         other -= own
         pressing = system.normals @ (system.stiffness @ traces[free] - push)
         closing = float(pressing @ np.where(solved.active.touching, system.offset, 0.0))  # computed gaps
+        end = abs(closing)
         if part is None:
             products = fields.energy(correction + other) - fields.energy(correction - other)
             value = computed + float(np.sum(products)) / 2 + closing
@@ -335,7 +336,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             slip = system.tangents @ assembled.of_displacement(along)[free]
             follows = solved.active.sliding * (system.bound(solved.normal_force) - system.slip_bound)
             value = float(solved.normal_force @ gaps(along) - follows @ slip)
-            end = max(abs(value + float(solved.normal_force @ gap)), abs(closing))
+            end = max(abs(value + float(solved.normal_force @ gap)), end)
             if slip.size:
                 value += float((solved.tangential_force + follows) @ slip) + on.work_of_bounds(w)
         local = defect * np.sqrt(fields.energy(other))

@@ -111,6 +111,18 @@ def test_displacement_of_a_tool_under_a_force_is_asked_for_and_corrected() -> No
     assert 0.7 < coarse.error / error < 1.5
 
 
+@pytest.mark.parametrize("friction", [0.0, 80.0])
+def test_change_of_contact_counts_in_the_displacement_of_a_tool(friction: float) -> None:
+    """Its worth and that of the residual have opposite signs here, and nearly the same size."""
+    press = rm.Obstacle("top", (0.0, -1.0), lambda x, y: 0.02 * (x - 0.9) ** 2, friction)
+    tool = replace(press, force=(0.0, -500.0), move="y")
+    law, mesh = rm.PlaneStrain.from_young(young=1e4, poisson=0.3), rm.shapes.rectangle(6, 3, x=(0, 2))
+    problem = rm.ContactProblem(mesh, law, "bottom", tool)
+    fine = replace(refined(refined(problem)), order=2)
+    (coarse,), (fine,) = (estimated(p, "tool_y(top)") for p in (problem, fine))
+    assert 0.5 < coarse.error / abs(coarse.computed - fine.value) < 4
+
+
 @pytest.mark.slow
 def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> None:
     problem = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
