@@ -36,15 +36,31 @@ of them, a the root of that share (L. N. Trefethen, SIAM Review 50, 2008): here 
 def strain_energy(law: Law, cell: Straight | Blended, degree: int | str | None = None) -> ca.Function:
     """``(*place, u_e) -> (energy, empty)`` of one triangle: 1/2 a(u, u) of (3.3), (3.15).
 
-    Its rule is of a degree and that of the measure; by default it is that of a plane body.
+    Its rule is of a degree and that of the measure; by default it is that of a plane body. Of a body of
+    revolution it is without :func:`hoop_energy`, and so a polynomial in a straight triangle.
     """
     energy = cell.kind(0)
     for shares, weight in cell.energy_rule if degree is None else cell.rule(degree):
         point = cell.at(shares)
-        gradient = law.extended(point.scaled, point.det * cell.displacement(shares), point.x)
-        # quadratic: one division
-        energy += weight * point.part * law.energy_density(gradient) / point.det
+        u = point.det * cell.displacement(shares)
+        density = law.energy_density(law.extended(point.scaled, u, point.x))
+        if law.has_hoop:
+            density -= law.energy_density(law.extended(0 * point.scaled, u, point.x))
+        energy += weight * point.part * density / point.det  # quadratic: one division
     return cell.function("strain_energy", energy)
+
+
+@once
+def hoop_energy(law: Law, cell: Straight | Blended, degree: int | str) -> ca.Function:
+    """``(*place, u_e) -> (energy, empty)`` of u itself in one triangle: u_r / r squared is rational."""
+    own, u = cell.kind.sym("own", law.components), cell.columns[-1]
+    square = cell.kind(*2 * u.shape[:1])
+    for shares, weight in cell.rule(degree):
+        point, values = cell.at(shares), shape_functions(cell.order, shares)
+        density = law.energy_density(law.extended(ca.DM(law.components, 2), own, point.x))
+        each = ca.hessian(density, own)[0] * weight * point.part * point.det / 2
+        square += ca.kron(values @ values.T, each)
+    return cell.function("hoop_energy", ca.bilin(square, u, u))
 
 
 @once
@@ -86,23 +102,20 @@ def point_energy(force: tuple[float, ...]) -> ca.Function:
 
 def strain(on: Fields) -> list[ElementGroup]:
     """The strain energy, by region; beside a curve by curve."""
-    return [
-        on.group(strain_energy(law, cell, degree), [field.elements(own) for field in local])
-        for law, cell, local, vertices in _cells(on)
-        for degree, own in _rules(on.problem, law, cell.order, vertices)
-    ]
+    groups = []
+    for law, cell, local, vertices in _cells(on):
+        degree = 2 * (cell.order - law.has_hoop) if law.varies else None
+        groups.append(on.group(strain_energy(law, cell, degree), local))
+        for rule, own in _rules(on.problem, vertices) if law.has_hoop else ():
+            groups.append(on.group(hoop_energy(law, cell, rule), [field.elements(own) for field in local]))
+    return groups
 
 
-def _rules(
-    problem: ContactProblem, law: Law, order: int, vertices: Index
-) -> Iterator[tuple[int | str | None, Index]]:
-    """Degrees of rules, and which triangles with vertices (3, n) take them.
+def _rules(problem: ContactProblem, vertices: Index) -> Iterator[tuple[int | str, Index]]:
+    """Degrees of rules for the hoop energy, and which triangles with vertices (3, n) take them.
 
     With a side on the axis u_r / r is a polynomial.
     """
-    if not (law.axisymmetric and law.takes_displacement):
-        yield 2 * order if law.varies else None, np.arange(vertices.shape[1])
-        return
     r = np.where(problem.on_axis, 0.0, problem.mesh.p[0])[vertices]
     share = np.where(np.sum(r == 0, axis=0) == 2, 1.0, np.min(r, axis=0) / np.max(r, axis=0))
     first = np.searchsorted(-np.array(list(RATIONAL.values())), -share)

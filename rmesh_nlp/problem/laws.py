@@ -83,6 +83,11 @@ class Law(ABC):
         return type(self).extended is not Law.extended
 
     @property
+    def has_hoop(self) -> bool:
+        """Whether the energy depends on the hoop strain u_r / r of a body of revolution."""
+        return self.axisymmetric and self.takes_displacement
+
+    @property
     def varies(self) -> bool:
         """Whether the energy depends on the place, or on more than the gradient."""
         return callable(self.measure) or self.takes_displacement

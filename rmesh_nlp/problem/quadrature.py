@@ -84,6 +84,8 @@ def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
     """
     if quadrature == MIDPOINT:
         return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
+    if quadrature in (0, 1):  # where scikit-fem's has three points
+        return np.full((3, 1), 1 / 3), np.ones(1)
     degree = 10 if quadrature == CORNER else int(quadrature)
     conical = quadrature == CORNER or degree > 19  # the highest degree of scikit-fem's
     points, weights = (_conical_product_rule if conical else get_quadrature_tri)(degree)

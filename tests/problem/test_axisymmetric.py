@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.fem.element import differentiated
+from rmesh_nlp.fem.energy import strain
+from rmesh_nlp.fem.fields import Fields
 from rmesh_nlp.fem.stress import strain_energies, stresses
 from rmesh_nlp.meshes.shapes import _drawn
 from rmesh_nlp.problem import Law, Place
@@ -70,6 +74,17 @@ def test_energy_is_that_of_its_displacement_on_coarse_meshes_near_the_axis(order
     down = (rm.Traction("top", (3.0, -20.0)),)  # bends, so that u_r / r is no polynomial
     record = rm.solve(pressed(2, inner, order, tractions=down), "joint").record()
     assert record["energy"] == pytest.approx(record["energy_audited"], rel=5e-7)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_stiffness_takes_few_times_the_operations_of_plane_strain(order: int) -> None:
+    def operations(law: Law) -> float:
+        parts = discretise(pressed(6, 0.0, order, law, dirichlet="bottom"))
+        groups = strain(Fields(parts.space, parts.vertices.positions, parts.displacement, parts.slip))
+        each = [differentiated(one.function, None, (len(one.arguments) - 1,)).second for one in groups]
+        return sum(one.n_instructions() * group.size for one, group in zip(each, groups, strict=True))
+
+    assert operations(LAW) < 6 * operations(rm.PlaneStrain.from_young(YOUNG, POISSON))
 
 
 @pytest.mark.slow
