@@ -39,6 +39,11 @@ class Units:
         return f"{self.force}/{self.length}" if self.length and self.force else ""
 
     @property
+    def axes(self) -> list[str]:
+        """Labels of the coordinates: r and z of a body of revolution."""
+        return [f"${name}${bracketed(self.length)}" for name in (("r", "z") if self.per else ("x_1", "x_2"))]
+
+    @property
     def energy(self) -> str:
         """Unit of energies: force, being per unit of depth, or force times length."""
         return f"{self.force} {self.length}" if self.per and self.force and self.length else self.force

@@ -262,7 +262,7 @@ def contact_figure(bodies: Sequence[DrawnBody], page: Page) -> Figure | None:
             ends = first.state.friction_bound, -first.state.friction_bound
             curves += [(first, values, bound, "friction bound ±g") for values in ends]
         points = first.nodes[:, np.concatenate(first.contacts[place].along)]
-        where, over = plotting.course(points, page.units.length)
+        where, over = plotting.course(points, page.units)
         for body, values, look, title in curves:
             lines = body.contacts[place].along
             plotting.draw_along(axis, body.nodes, lines, values, over, **look, label=title)

@@ -17,7 +17,6 @@ from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.geometry import lengths
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
-from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report import style
 from rmesh_nlp.report.drawing import DrawnBody, draw_foundations, draw_lines, draw_nodes
 from rmesh_nlp.solving import plotting
@@ -63,8 +62,8 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
         _draw_gaps(axis, body, space.n_nodes)
         axis.autoscale_view()
-        unit = bracketed(problem.units.length)
-        axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
+        across, up = problem.units.axes
+        axis.set(aspect="equal", xlabel=across, ylabel=up)
         heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {mesh.nelements} triangles"
         for one in (one for one in body.contacts if body.elastic and one.is_rigid and one not in body.near):
             heading += f"\nthe foundation of {one.name} is {one.distance:.3g} away, not drawn"

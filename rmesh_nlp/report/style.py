@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, safe_name, write_whole
-from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed
+from rmesh_nlp.problem.units import NO_UNITS, Units
 from rmesh_nlp.settings import Values
 
 LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
@@ -97,11 +97,10 @@ class Page:
         axes: NDArray = figure.subplots(
             len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
-        axes, unit = axes.reshape(len(windows), count), bracketed(self.units.length)
+        axes = axes.reshape(len(windows), count)
         for axis, limits in zip(axes.ravel(), np.repeat(windows, count, axis=0), strict=True):
             axis.set(xlim=limits[0], ylim=limits[1], aspect="equal")
-            first, second = ("r", "z") if self.units.per else ("x_1", "x_2")
-            axis.set(xlabel=f"${first}${unit}", ylabel=f"${second}${unit}")
+            axis.set(xlabel=self.units.axes[0], ylabel=self.units.axes[1])
             if self.units.per:
                 axis.axvline(0.0, color="0.4", linewidth=0.8, linestyle="-.")
             axis.spines[:].set_visible(False)

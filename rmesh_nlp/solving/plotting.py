@@ -19,7 +19,7 @@ from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.meshes.curves import fitted_circle
 from rmesh_nlp.meshes.geometry import lines_of
 from rmesh_nlp.problem import ContactProblem, Place
-from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.problem.units import Units, bracketed
 from rmesh_nlp.settings import Values
 
 MAP, GRID_LINE = "viridis", "0.25"
@@ -73,7 +73,7 @@ def plot(
             axes.set(ylabel=f"{title}{stress}", title=title)
             return axes
         _bar(axes, draw_nodal(axes, nodes, cells, pressure, **style), X, title)
-    axes.set(aspect="equal", xlabel=f"$x_1${length}", ylabel=f"$x_2${length}", title=title)
+    axes.set(aspect="equal", xlabel=units.axes[0], ylabel=units.axes[1], title=title)
     return axes
 
 
@@ -85,7 +85,7 @@ def _plot_pressures(
     for part in space.contact_sets:
         edges = contact_edges(space.problem, part.obstacle)
         lines = lines_of(edges[:, np.any(np.isin(edges, part.nodes), axis=0)], nodes)
-        name, over = course(nodes[:, np.concatenate(lines)], space.problem.units.length)
+        name, over = course(nodes[:, np.concatenate(lines)], space.problem.units)
         names[name] = None
         look = {"marker": "o", "ms": 3, "label": part.obstacle.place, **style}
         draw_along(axes, nodes, lines, pressure, over, **look)
@@ -151,16 +151,16 @@ def draw_elements(axis: Axes, nodes: Array, cells: NDArray, values: Array, **opt
     return axis.tripcolor(triangulation(nodes, cells), facecolors=of_pieces, **look)
 
 
-def course(points: Array, length: str) -> tuple[str, Callable[[Array], Array]]:
+def course(points: Array, units: Units) -> tuple[str, Callable[[Array], Array]]:
     """Over what values along a boundary are drawn: its name, and it at points (2, n) in their order.
 
     The coordinate where ``points`` are parallel to an axis, the angle where they are on an arc, else the arc
-    length; in the unit ``length``.
+    length; in the unit of length.
     """
-    extent, unit = np.ptp(points, axis=1), bracketed(length)
+    extent, unit = np.ptp(points, axis=1), bracketed(units.length)
     if np.min(extent) <= STRAIGHT * np.max(extent):
         k = np.argmax(extent)
-        return f"$x_{k + 1}${unit}", lambda line: line[k]
+        return units.axes[k], lambda line: line[k]
     with suppress(BadInputError):  # too few points, or a line
         circle, size = fitted_circle(points), max(extent)
         centre = np.array(circle.centre)[:, None]

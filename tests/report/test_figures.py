@@ -354,7 +354,7 @@ def test_pressure_on_a_bore_is_a_function_of_the_angle(part: int) -> None:
     (line,) = lines = lines_of(edges, nodes)
     assert line.size == part + 1
     assert (line[0] == line[-1]) is np.bool_(part == 8)
-    name, over = course(nodes[:, line], "mm")
+    name, over = course(nodes[:, line], Units("mm"))
     assert name == "angle about (2, 1) [°]"
     axis = new_figure(2, 2).subplots()
     draw_along(axis, nodes, lines, nodes[1], over)
@@ -368,15 +368,16 @@ def test_other_boundaries_are_drawn_over_a_coordinate_or_the_arc_length() -> Non
     nodes = np.array([[0.0, 3.0, 3.0, 6.0, 6.0, 5.0], [0.0, 4.0, 8.0, 0.0, 5.0, 5.0]])
     lines = lines_of(np.array([[2, 0, 4], [1, 1, 3]]), nodes)
     assert [line.tolist() for line in lines] == [[0, 1, 2], [3, 4]]
-    name, over = course(nodes[:, lines[0]], "")
+    name, over = course(nodes[:, lines[0]], Units())
     assert name == "arc length from (0, 0)"
     axis = new_figure(2, 2).subplots()
     draw_along(axis, nodes, lines[:1], nodes[1], over)
     np.testing.assert_allclose(axis.lines[0].get_xydata(), [[0, 0], [5, 4], [9, 8]])
-    name, over = course(nodes[:, lines[1]], "mm")
+    name, over = course(nodes[:, lines[1]], Units("mm"))
     assert (name, over(nodes[:, lines[1]]).tolist()) == ("$x_2$ [mm]", [0, 5])
+    assert course(nodes[:, lines[1]], Units("mm", per="revolution"))[0] == "$z$ [mm]"
     slanted = np.array([np.arange(9.0), np.arange(9.0)])
-    assert course(slanted, "m")[0] == "arc length from (0, 0) [m]"
+    assert course(slanted, Units("m"))[0] == "arc length from (0, 0) [m]"
     draw_along(axis, nodes, lines, nodes[1], over)
     assert np.isnan(axis.lines[1].get_ydata()[3])  # lines apart stay apart
 
