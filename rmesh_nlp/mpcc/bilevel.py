@@ -99,8 +99,7 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
         [above.g, slope + lam_x, equations], member, distance,
         lbx=np.append(above.lbx, -free), ubx=np.append(above.ubx, free),
         lbg=np.append(above.lbg, zero), ubg=np.append(above.ubg, zero), p=p,
-        n_added=n_y + n_sides,
-        completion=lambda own, values: level.start(own, p=values, multipliers=1.0)[own.size :],
+        completions={above.n_x: lambda x, values: level.start(x, p=values, multipliers=1.0)[x.size :]},
         parts={"upper": above.x, "lower": below.x, "lam_x": lam_x, "lam_g": lam_g}, lower_level=level,
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.bilevel import bilevel
 from rmesh_nlp.mpcc.finish import is_below
 from rmesh_nlp.mpcc.lower_level import LowerLevel
@@ -187,15 +187,9 @@ def _with_cut(program: MPCC, level: LowerLevel, violations: Symbolic, y: Array) 
     gain = values(program.parts["lower"], upper)[0] - value
     if violations.is_empty():
         return program.extended(g=gain, ubg=0)
-    cut = ca.Function("cut", [program.parts["lower"], upper], [ca.vertcat(gain, -violation)])
+    least = ca.Function("cut", [program.x, program.p], [ca.fmax(ca.vertcat(gain, -violation), 0)])
     s, w = kind.sym("s"), kind.sym("w")
     longer = program.extended(
         x=ca.vertcat(s, w), lbx=0, G=s, H=w, g=ca.vertcat(gain - s, -violation - w), ubg=0
     )
-
-    def completion(own: Array, p: Array) -> Array:
-        """Those of the cuts before, then the least s and w."""
-        x, y, _ = level.split(own)
-        return np.append(program.start(own, p)[own.size :], np.maximum(flat(cut(y, np.append(x, p))), 0.0))
-
-    return replace(longer, n_added=longer.n_x - level.size, completion=completion)
+    return replace(longer, completions={**program.completions, program.n_x: least})

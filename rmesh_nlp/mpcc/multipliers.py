@@ -34,9 +34,9 @@ class Columns:
     matrix : sparse (n_x, number of columns)
     corner : bool array
         Of each column whether it is a member of a biactive pair.
-    may_fall, may_rise : bool arrays
-        Whether a multiplier may be negative (of an active lower bound, and of every zero member) and
-        positive, with the signs of S: those of the corner may not.
+    low, high : arrays
+        Bounds of the multipliers with the signs of S: that of an active lower bound, and of every zero
+        member, may be negative; that of a member of the corner may not be positive.
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation) -> None:
@@ -45,13 +45,8 @@ class Columns:
         self.matrix = sp.hstack([lin.jacobian.T, eye, eye[:, lifted.pairs.ravel()]], format="csc")
         corner = lin.zero & lin.zero[::-1]
         self.corner = np.append(np.zeros_like(lin.lower), corner)
-        self.may_fall = np.append(lin.lower, lin.zero)
-        self.may_rise = np.append(lin.upper, lin.zero & ~corner)
-
-    @property
-    def signs(self) -> tuple[Array, Array]:
-        """Bounds of the multipliers with the signs of S."""
-        return np.where(self.may_fall, -np.inf, 0.0), np.where(self.may_rise, np.inf, 0.0)
+        self.low = np.where(np.append(lin.lower, lin.zero), -np.inf, 0.0)
+        self.high = np.where(np.append(lin.upper, lin.zero & ~corner), np.inf, 0.0)
 
     def split(self, values: Array) -> Multipliers:
         """Multipliers of the columns by their kinds."""
@@ -67,13 +62,13 @@ def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: floa
     columns, n_rows, n_x = Columns(lifted, lin), lifted.nlp.n_g, lifted.nlp.n_x
     values = np.zeros(columns.corner.size)
     values[:n_rows] = lam_rows[:n_rows]
-    values = np.clip(values, *columns.signs)
+    values = np.clip(values, columns.low, columns.high)
     rest = -(lin.gradient + columns.matrix @ values)
     # an unknown may be a member of several pairs: the one with the freest sign takes all
     order = np.argsort(columns.corner, kind="stable")
-    order = order[(columns.may_fall | columns.may_rise)[order] & (order >= n_rows)]
+    order = order[(columns.low < columns.high)[order] & (order >= n_rows)]
     unknowns, first = np.unique(np.append(np.arange(n_x), lifted.pairs)[order - n_rows], return_index=True)
     values[order[first]] = rest[unknowns]
-    values = np.clip(values, *columns.signs)
+    values = np.clip(values, columns.low, columns.high)
     residual = magnitude(lin.gradient + columns.matrix @ values)
     return columns.split(values) if residual <= tolerance * lin.scale else None

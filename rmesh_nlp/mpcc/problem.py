@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import plain_pairs
 from rmesh_nlp.mpcc.names import named
@@ -47,11 +47,9 @@ class MPCC:
     derivatives : Derivatives, optional
         Assembled derivatives of the oracle with objective ``f`` and constraint column
         ``vertcat(g, G, H)``. None: CasADi derives them.
-    n_added : int
-        Number of the last unknowns, which :meth:`mixed` and :func:`rmesh_nlp.mpcc.bilevel` add: a start may
-        then be given for the user's own alone, which come first.
-    completion : callable, optional
-        ``(own, p) -> starts`` of those; None: zeros.
+    completions : mapping of int to callable
+        Where :meth:`mixed` or :func:`rmesh_nlp.mpcc.bilevel` have added unknowns after the user's: a start
+        may be given for the first n alone, and ``completions[n](start, p)`` are starts of the next ones.
     parts : mapping of str to expression, optional
         Parts of the unknowns by name.
     switches : pair of columns, optional
@@ -78,8 +76,7 @@ class MPCC:
     ubg: Any = np.inf
     p: Symbolic = None
     derivatives: Derivatives | None = None
-    n_added: int = 0
-    completion: Callable[[Array, Array], ArrayLike] | None = None
+    completions: Mapping[int, Callable[[Array, Array], Any]] = field(default_factory=dict, repr=False)
     parts: Mapping[str, Symbolic] = field(default_factory=dict, repr=False)
     lower_level: LowerLevel | None = None
     switches: tuple[Symbolic, Symbolic] | None = None
@@ -155,15 +152,16 @@ class MPCC:
     @property
     def n_own(self) -> int:
         """Number of the unknowns that a start must have; those after them can be completed."""
-        return self.n_x - self.n_added
+        return min(self.completions, default=self.n_x)
 
     def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
         """Return ``x0`` as a checked array; a scalar fills it, unknowns after the user's are completed."""
-        n = self.n_x if _numbers("x0", x0).size == self.n_x else self.n_own
-        own = _values("x0", x0, n, finite=True, symbols=self.x)
-        if self.completion is None or n == self.n_x:
-            return np.append(own, np.zeros(self.n_x - n))
-        return np.append(own, np.nan_to_num(_numbers("x0", self.completion(own, self.parameters(p)))))
+        given = _numbers("x0", x0).size
+        n = given if given in (*self.completions, self.n_x) else self.n_own
+        start = _values("x0", x0, n, finite=True, symbols=self.x)
+        while start.size < self.n_x:
+            start = np.append(start, np.nan_to_num(self.completions[start.size](start, self.parameters(p))))
+        return start
 
     def parameters(self, p: ArrayLike) -> Array:
         """Return the values of ``p`` as a checked array."""
@@ -207,12 +205,11 @@ class MPCC:
         places = np.split(np.arange(ends[-1]), ends[:-1])
         ordered = oracle.extended(rows=np.concatenate([places[k] for k in (0, 3, 1, 4, 2, 5)]).tolist())
 
-        n_added, completion = (self.n_added, self.completion) if new_x.is_empty() else (0, None)
         return replace(
             self, x=oracle.x, p=oracle.p, f=oracle.f, g=ca.vertcat(self.g, new_g),
             G=ca.vertcat(self.G, new_G), H=ca.vertcat(self.H, new_H), lbx=oracle.lbx, ubx=oracle.ubx,
             lbg=longer(self.lbg, lbg, new_g), ubg=longer(self.ubg, ubg, new_g),
-            derivatives=ordered.derivatives, n_added=n_added, completion=completion,
+            derivatives=ordered.derivatives, completions=self.completions if new_x.is_empty() else {},
         )  # fmt: skip
 
     @classmethod
@@ -253,14 +250,8 @@ def _with_parts(
     longer = mpcc.extended(
         x=ca.vertcat(up, down), lbx=0, g=ca.vertcat(rows, values - up + down), lbg=0, ubg=0, G=G, H=H
     )
-    parts = ca.Function("parts", [mpcc.x, mpcc.p], [ca.vertcat(values, -values)])
-
-    def completion(own: Array, p: Array) -> Array:
-        """What the unknowns before them are completed by, then the parts."""
-        start = mpcc.start(own, p)
-        return np.append(start[own.size :], np.maximum(flat(parts(start, p)), 0.0))
-
-    return replace(longer, n_added=mpcc.n_added + 2 * up.shape[0], completion=completion)
+    parts = ca.Function("parts", [mpcc.x, mpcc.p], [ca.fmax(ca.vertcat(values, -values), 0)])
+    return replace(longer, completions={**mpcc.completions, mpcc.n_x: parts})
 
 
 def _split(mpcc: MPCC, switches: tuple[Symbolic, Symbolic]) -> MPCC:

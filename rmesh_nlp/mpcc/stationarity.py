@@ -132,11 +132,10 @@ class _MultiplierLP:
         own, eye = self.columns.matrix, sp.identity(lin.gradient.size, format="csc")
         self.matrix = sp.hstack([own, own[:, self.at_corner], eye], format="csc")
         self.right, self.slack = -lin.gradient, tolerance * lin.scale
-        (low, high), copies = self.columns.signs, np.zeros(self.at_corner.size)
-        rest = np.zeros(lin.gradient.size)
-        self.lower = np.concatenate([low, copies, rest])
-        self.upper = np.concatenate([high, copies + np.inf, rest])
-        self.cost = np.concatenate([np.zeros(low.size), copies + 1.0, rest])
+        copies, rest = np.zeros(self.at_corner.size), np.zeros(lin.gradient.size)
+        self.lower = np.concatenate([self.columns.low, copies, rest])
+        self.upper = np.concatenate([self.columns.high, copies + np.inf, rest])
+        self.cost = np.concatenate([0.0 * self.columns.corner, copies + 1.0, rest])
 
     def solve(
         self, pieces: dict[int, Piece], parts: tuple[float, ...] = (_SHARP, 1.0)
