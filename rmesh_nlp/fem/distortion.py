@@ -58,7 +58,7 @@ def reference_shapes(problem: ContactProblem) -> Array:
     return problem.reference
 
 
-def distortion_group(on: Fields, name: str) -> ElementGroup:
+def distortion(name: str, on: Fields) -> list[ElementGroup]:
     """Mean over the initial area of a density in :data:`DISTORTIONS`; NaN where an element is inverted."""
     shapes, triangles = reference_shapes(on.problem), on.problem.triangles
     X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
@@ -73,4 +73,4 @@ def distortion_group(on: Fields, name: str) -> ElementGroup:
         constant_field(np.full((1, triangles.shape[1]), area)),
     )
     function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, NO_ROWS])
-    return on.group(function, local)
+    return [on.group(function, local)]

@@ -24,7 +24,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.cells import Straight
 from rmesh_nlp.fem.contact_terms import friction
-from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
+from rmesh_nlp.fem.distortion import DISTORTIONS, distortion
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.energy import loads, strain
 from rmesh_nlp.fem.fields import ElementGroup, Fields
@@ -128,10 +128,6 @@ def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool =
     return on.integral("contact_error", edges, ERROR_DEGREE, density, kind=exact.symbol)
 
 
-def _distortion(name: str, on: Fields) -> list[ElementGroup]:
-    return [distortion_group(on, name)]
-
-
 def _exact(on: Fields, name: str) -> ExactSolution:
     if on.problem.exact is None:
         raise BadInputError(
@@ -169,7 +165,7 @@ def _terms() -> dict[str, Term]:
         *(
             # size: means of densities of which 1 is subtracted
             Term(
-                name, partial(_distortion, name), of_positions=True, barrier=True, minimised_only=True, size=1
+                name, partial(distortion, name), of_positions=True, barrier=True, minimised_only=True, size=1
             )
             for name in DISTORTIONS
         ),

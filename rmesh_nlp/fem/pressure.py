@@ -16,7 +16,7 @@ from functools import reduce
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, located
 from rmesh_nlp.evaluation import Expression, Index
 from rmesh_nlp.fem.cells import Straight
 from rmesh_nlp.fem.contact_pressure import ends, may_slip
@@ -29,6 +29,7 @@ from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
+from rmesh_nlp.settings import check_positive
 
 
 def level_pressure(boundary: str, *, name: str = "level pressure") -> Objective:
@@ -120,7 +121,8 @@ def contact_length(boundary: str, reference: float, *, name: str = "contact leng
         P, a pressure well below those on most of the contact, in units of stress.
     name : str
     """
-    _check_reference(name, reference)
+    with located(name):
+        check_positive(reference=reference)
 
     def value(share: Expression, force: Expression) -> Expression:
         return share * force**2 / (force**2 + (reference * share) ** 2)
@@ -147,7 +149,8 @@ def peak_pressure(
         At least 3, so that second derivatives are continuous; the larger, the closer to the peak.
     name : str
     """
-    _check_reference(name, reference)
+    with located(name):
+        check_positive(reference=reference)
     if not exponent >= 3:
         raise BadInputError(f"{name}: the exponent must be at least 3, got {exponent}")
 
@@ -229,8 +232,3 @@ def _forces_on(on: Fields, boundary: str) -> Forces:
     if on.forces is None:
         raise BadInputError(f"the forces on {boundary!r} are not known here")
     return on.forces
-
-
-def _check_reference(name: str, reference: float) -> None:
-    if not (np.isfinite(reference) and reference > 0):
-        raise BadInputError(f"{name}: the reference pressure must be positive, got {reference}")

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Index, Mask, numbers_of
 from rmesh_nlp.fem.bernstein import SIDES, functions
 from rmesh_nlp.fem.cells import measured_rule
-from rmesh_nlp.meshes.geometry import lengths, members_of
+from rmesh_nlp.meshes.geometry import edge_keys, lengths, members_of
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
@@ -75,7 +74,7 @@ class DisplacementSpace:
     def nodes_at(self, first: Index, second: Index) -> Index:
         """Nodes (n,) at the edges between vertices (n,), of order 2."""
         names, order = self._edge_names
-        place = np.searchsorted(names, _names(first, second, self.n_vertices), sorter=order)
+        place = np.searchsorted(names, edge_keys(np.stack([first, second]), self.n_vertices), sorter=order)
         return self.n_vertices + order[place]
 
     def kinds(self, nodes: Index) -> Iterator[tuple[Index, Index, Array]]:
@@ -264,13 +263,8 @@ class DisplacementSpace:
     @cached_property
     def _edge_names(self) -> tuple[Index, Index]:
         facets = self.problem.mesh.facets
-        names = _names(facets[0], facets[1], self.n_vertices)
+        names = edge_keys(facets, self.n_vertices)
         return names, np.argsort(names)
-
-
-def _names(first: NDArray, second: NDArray, n: int) -> Index:
-    """A number for each edge between two of n vertices."""
-    return np.minimum(first, second).astype(np.int64) * n + np.maximum(first, second)
 
 
 def contact_edges(problem: ContactProblem, obstacle: Obstacle) -> Index:

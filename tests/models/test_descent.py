@@ -14,7 +14,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.distortion import distortion_group
+from rmesh_nlp.fem.distortion import distortion
 from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.mapping import Mobility
@@ -42,7 +42,7 @@ def test_distortions_of_a_stretched_mesh_by_hand() -> None:
     shape, size = (a**2 + b**2) / (2 * a * b) - 1, (a * b + 1 / (a * b) - 2) / 2
     elastic = (a**2 + b**2 + a**-2 + b**-2) / 4 - 1
     for name, value in {"quality": shape, "shape-size": shape + size, "elastic": elastic}.items():
-        (found,) = element_values([distortion_group(stretched, name)])(np.zeros(0))
+        (found,) = element_values(distortion(name, stretched))(np.zeros(0))
         assert found.sum() == pytest.approx(value)
 
 
