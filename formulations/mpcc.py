@@ -17,12 +17,11 @@ import numpy as np
 from formulations.finish import is_above, is_stationary
 from formulations.ipopt import CENTRED, COMMON, TIGHT, exact, pull, pushed
 from rmesh_nlp.contact.system import OwnState
-from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.kkt_model import Bilevel, bilevel, in_units_of
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
+from rmesh_nlp.mpcc import MPCC, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import PluginOptions
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -100,9 +99,7 @@ class AllAtOnce(Formulation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.relaxation not in RELAXATIONS:
-            raise unknown("relaxation", self.relaxation, RELAXATIONS)
-        Options(**{**OPTIONS, **self.options})
+        Options(**{"relaxation": self.relaxation, **OPTIONS, **self.options})
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         before, begin = monitor.budget.iterations, len(monitor.steps)

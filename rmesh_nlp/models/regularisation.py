@@ -14,7 +14,7 @@ import numpy as np
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import on_refined
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.errors import BadInputError, ProblemError, unknown
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective import Objective
@@ -75,7 +75,7 @@ def weights(regularisation: float | str | Sequence[float], name: str = "regulari
 def regularised(gain: float, weight: float, distortion: str = "shape-size") -> Objective:
     """``energy + weight * gain * distortion``; the energy alone if the weight is 0."""
     if distortion not in DISTORTIONS:
-        raise BadInputError(f"unknown distortion {distortion!r}: choose from {', '.join(DISTORTIONS)}")
+        raise unknown("distortion", distortion, DISTORTIONS)
     if weight == 0:
         return parse_objective("energy")
     return parse_objective(f"energy + {weight * gain:.6g}*{distortion}")

@@ -24,10 +24,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
-from rmesh_nlp.evaluation import Array, is_finite
+from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, limits
-from rmesh_nlp.mpcc.multipliers import Columns, Multipliers, proving
 from rmesh_nlp.mpcc.result import beyond
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
@@ -42,6 +41,63 @@ Piece = tuple[Range, Range]
 
 _LOW, _ZERO, _HIGH, _FREE = (-np.inf, 0.0), (0.0, 0.0), (0.0, np.inf), (-np.inf, np.inf)
 _PIECES = {"M": ((_LOW, _LOW), (_ZERO, _FREE), (_FREE, _ZERO)), "C": ((_LOW, _LOW), (_HIGH, _HIGH))}
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers of the lifted problem: of rows, of bounds of z, of members (2, n_pairs)."""
+
+    rows: Array
+    z: Array
+    pairs: Array
+
+
+class Columns:
+    """M in ``gradient + M lambda = 0``: gradients of rows, bounds of z and members of pairs at a point.
+
+    Attributes
+    ----------
+    matrix : sparse (n_x, number of columns)
+    corner : bool array
+        Of each column whether it is a member of a biactive pair.
+    low, high : arrays
+        Bounds of the multipliers with the signs of S: that of an active lower bound, and of every zero
+        member, may be negative; that of a member of the corner may not be positive.
+    """
+
+    def __init__(self, lifted: Lifted, lin: Linearisation) -> None:
+        self._ends = lifted.nlp.n_g, lin.lower.size
+        eye = sp.identity(lifted.nlp.n_x, format="csc")
+        self.matrix = sp.hstack([lin.jacobian.T, eye, eye[:, lifted.pairs.ravel()]], format="csc")
+        corner = lin.zero & lin.zero[::-1]
+        self.corner = np.append(np.zeros_like(lin.lower), corner)
+        self.low = np.where(np.append(lin.lower, lin.zero), -np.inf, 0.0)
+        self.high = np.where(np.append(lin.upper, lin.zero & ~corner), np.inf, 0.0)
+
+    def split(self, values: Array) -> Multipliers:
+        """Multipliers of the columns by their kinds."""
+        rows, z, pairs = np.split(values, self._ends)
+        return Multipliers(rows, z, pairs.reshape(2, -1))
+
+
+def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: float) -> Multipliers | None:
+    """Multipliers with the signs of S from those of the rows at the end of a solve; None if they have others.
+
+    Those of bounds and members are what the Lagrangian leaves to them. It is stationary within ``tolerance``.
+    """
+    columns, n_rows, n_x = Columns(lifted, lin), lifted.nlp.n_g, lifted.nlp.n_x
+    values = np.zeros(columns.corner.size)
+    values[:n_rows] = lam_rows[:n_rows]
+    values = np.clip(values, columns.low, columns.high)
+    rest = -(lin.gradient + columns.matrix @ values)
+    # an unknown may be a member of several pairs: the one with the freest sign takes all
+    order = np.argsort(columns.corner, kind="stable")
+    order = order[(columns.low < columns.high)[order] & (order >= n_rows)]
+    unknowns, first = np.unique(np.append(np.arange(n_x), lifted.pairs)[order - n_rows], return_index=True)
+    values[order[first]] = rest[unknowns]
+    values = np.clip(values, columns.low, columns.high)
+    residual = magnitude(lin.gradient + columns.matrix @ values)
+    return columns.split(values) if residual <= tolerance * lin.scale else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ import pytest
 from mpcc_library.labels import descends_by_search, label_by_search, random_block
 from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
-from rmesh_nlp.mpcc.multipliers import proving
-from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, stationarity
+from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, proving, stationarity
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, XYW, w, x, y

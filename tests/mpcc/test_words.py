@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, newton, solve
-from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import labelled
 from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import linearise
 from rmesh_nlp.mpcc.newton import curvature
+from rmesh_nlp.mpcc.outcome import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.mpcc.stationarity import stationarity
 from rmesh_nlp.optimize.status import Status
