@@ -56,7 +56,6 @@ def follow(
     z0: Array,
     first: Warm = None,
     former: Sequence[Mapping[float, float]] = (),
-    dependent: bool = False,
     t0: float | None = None,
 ) -> None:
     """Follow the relaxed solutions from t0 to t_final, finish exactly, keep all in ``path``.
@@ -65,17 +64,16 @@ def follow(
     is done once more from the multipliers of the last, and the lower end counts. Where both fail, the finish
     begins at the one before. Where the pairs cost nothing at t0, to first order, they hold nothing up:
     Newton steps are tried at once, and else the next step is the last. ``first`` are multipliers for the
-    first step, ``former`` the levels of trajectories that this one may join; ``dependent`` relaxations reckon
-    with equations that follow from each other.
+    first step, ``former`` the levels of trajectories that this one may join.
     """
     options = run.options
     t0, t_final = t0 or options.t0, options.t_final
     t, z, warm, lam, allowed = t0, z0, first, None, np.inf
     sides: Mask | None = None
     while True:
-        ends = [_step(run, z, t, warm, first=lam is None, dependent=dependent)]
+        ends = [_step(run, z, t, warm, first=lam is None)]
         if lam is None:
-            ends += _from_above(run, z, t, ends[0], dependent)
+            ends += _from_above(run, z, t, ends[0])
         elif warm is None and not ends[0].is_on(allowed):
             ends.append(_step(run, z, t, lam))
         result, objective, product = min(ends, key=lambda end: (not end.result.converged, end.objective))
@@ -126,12 +124,12 @@ class _End(NamedTuple):
         return is_low or self.result.status is Status.INFEASIBLE
 
 
-def _step(run: Run, z: Array, t: float, warm: Warm = None, **how: bool) -> _End:
-    result = run.relaxed(z, t, warm, **how)
+def _step(run: Run, z: Array, t: float, warm: Warm = None, *, first: bool = False) -> _End:
+    result = run.relaxed(z, t, warm, first=first)
     return _End(result, run.steps[-1].objective * run.p[-1], run.steps[-1].product)
 
 
-def _from_above(run: Run, z: Array, t: float, end: _End, dependent: bool) -> list[_End]:
+def _from_above(run: Run, z: Array, t: float, end: _End) -> list[_End]:
     """The relaxed solution at t by way of a larger one, where t is small in the unit of the products.
 
     That is the mean of G times the mean of H where the first relaxation ended: forces of 10 N and lengths of
@@ -142,12 +140,12 @@ def _from_above(run: Run, z: Array, t: float, end: _End, dependent: bool) -> lis
     cost = run.cost(end.result, t) if size > _SMALL else 0.0
     if cost <= _FREE * abs(end.objective):
         return []
-    above = _step(run, z, _LARGE * size * t, first=True, dependent=dependent)
+    above = _step(run, z, _LARGE * size * t, first=True)
     if above.result.converged:
-        above = _step(run, above.result.x, size * t, dependent=dependent)
+        above = _step(run, above.result.x, size * t)
     if not above.result.converged or end.objective <= _allowed(above.objective, size * cost):
         return []
-    return [_step(run, above.result.x, t, dependent=dependent)]
+    return [_step(run, above.result.x, t)]
 
 
 def _allowed(objective: float, cost: float) -> float:

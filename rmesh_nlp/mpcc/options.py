@@ -30,7 +30,6 @@ _WARM_EXACT = {
     **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
     "max_iter": 50,  # of 447 finishes that began next to their solution none took more than 20
 }  # fmt: skip
-_DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
 
 OptionsLike: TypeAlias = "Options | Mapping[str, object] | None"
 """Options, or those of its fields that differ from the defaults."""
@@ -48,7 +47,7 @@ class Options(Settings):
         Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
     moves : int
         Where neither the homotopy nor phase I finds a stationary point: so many homotopies with other t0,
-        then from moved starts, that reckon with equations that follow from each other.
+        then from moved starts.
     starts, seed : int
         The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it
         has the objective of a former one at the same t. Limits hold for all starts together.
@@ -116,19 +115,15 @@ class Options(Settings):
         """A budget of its limits, from now on."""
         return Budget(Limits(self.time_limit_s, self.max_iterations))
 
-    def relaxed(
-        self, warm: bool, *, first: bool = False, dependent: bool = False, last: bool = False
-    ) -> PluginOptions:
+    def relaxed(self, warm: bool, *, first: bool = False, last: bool = False) -> PluginOptions:
         """Ipopt options of a relaxed NLP, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
-        The ``last`` one is given up early. ``dependent`` reckons with equations that follow from each other;
-        that costs iterations.
+        The ``last`` one is given up early.
         """
         own = _RELAXED | ({"max_iter": _LAST} if last else {})
         own |= _WARM if warm else _FIRST if first else {}
-        own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}
 
     def exact(self, warm: bool = False) -> PluginOptions:

@@ -1,9 +1,8 @@
 """What is tried while no stationary point is found: phase I, then homotopies from other t0 and moved starts.
 
 Phase I begins at the point nearest to a solution so far. Where it shows a minimum of the violation, that is
-the answer. Else homotopies that reckon with dependent equations come last, with smaller and larger t0, and
-from elsewhere, as the cause may be the start itself: functions that are not defined beside it, or a valley
-that leads to a violation.
+the answer. Else homotopies with smaller and larger t0 come last, and from elsewhere, as the cause may be the
+start itself: functions that are not defined beside it, or a valley that leads to a violation.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
         run.rescues += 1
         z = z0 if k < _SAME else next(moved)
         t0 = max(_SHARES[k % len(_SHARES)] * options.t0, options.t_final)
-        follow(run, paths[-1], z, dependent=True, t0=t0)
+        follow(run, paths[-1], z, t0=t0)
 
 
 def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
