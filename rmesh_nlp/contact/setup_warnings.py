@@ -18,7 +18,7 @@ from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array, largest_side, magnitude
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.curves import FITTED, fitted
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
@@ -196,7 +196,7 @@ def _is_accepted(problem: ContactProblem, name: str, kind: str) -> bool:
 
 def _turns(problem: ContactProblem, name: str) -> Array:
     """Angles in radians by which a boundary turns at its inner nodes."""
-    edges = problem.mesh.facets[:, problem.mesh.boundaries[name]]
+    edges = edges_on(problem.mesh, name)
     along = problem.mesh.p[:, edges[1]] - problem.mesh.p[:, edges[0]]
     outward = np.hstack([along, -along]) / np.tile(np.linalg.norm(along, axis=0), 2)  # from each end
     order = np.argsort(edges.ravel())

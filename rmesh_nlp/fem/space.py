@@ -11,7 +11,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array, Index, Mask, numbers_of
 from rmesh_nlp.fem.bernstein import SIDES, functions
 from rmesh_nlp.fem.cells import measured_rule
-from rmesh_nlp.meshes.geometry import edge_keys, lengths, members_of
+from rmesh_nlp.meshes.geometry import edge_keys, edges_on, lengths, members_of
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
@@ -271,8 +271,7 @@ def contact_edges(problem: ContactProblem, obstacle: Obstacle) -> Index:
     """(2, edges) vertices of the edges of a contact boundary; none for an obstacle in the interior."""
     if isinstance(obstacle.boundary, Place):
         return np.zeros((2, 0), np.int64)
-    facets = problem.mesh.boundaries[obstacle.boundary]
-    return problem.mesh.facets[:, facets]
+    return edges_on(problem.mesh, obstacle.boundary)
 
 
 def outward_edges(problem: ContactProblem, boundary: str) -> Index:

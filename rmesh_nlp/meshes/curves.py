@@ -21,7 +21,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, is_finite, is_pair, magnitude, slope_of
-from rmesh_nlp.meshes.geometry import lines_of, members_of
+from rmesh_nlp.meshes.geometry import edges_on, lines_of
 from rmesh_nlp.settings import Number
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 
@@ -256,5 +256,5 @@ FITTED = ("circle", "spline")
 
 def fitted(mesh: MeshTri, name: str, kind: str) -> Curve:
     """The circle or the spline through the nodes of a named boundary; a ValueError if there is none."""
-    edges = mesh.facets[:, members_of("boundary", name, mesh.boundaries)]
+    edges = edges_on(mesh, name)
     return fitted_circle(mesh.p[:, np.unique(edges)]) if kind == "circle" else spline_through(mesh.p, edges)

@@ -79,9 +79,14 @@ def members_of(kind: str, name: str, groups: ByName | None, place: Place = ("mes
     return np.asarray(groups[name])
 
 
+def edges_on(mesh: MeshTri, name: str) -> Index:
+    """(2, edges) ends of the edges of a named boundary."""
+    return mesh.facets[:, members_of("boundary", name, mesh.boundaries)]
+
+
 def nodes_of(mesh: MeshTri, name: str) -> Index:
     """Sorted numbers of the nodes on a named boundary; a ProblemError if there is none of this name."""
-    return np.unique(mesh.facets[:, members_of("boundary", name, mesh.boundaries)]).astype(np.int64)
+    return np.unique(edges_on(mesh, name)).astype(np.int64)
 
 
 def node_at(mesh: MeshTri, place: tuple[float, float]) -> int:

@@ -24,7 +24,7 @@ from rmesh_nlp.fem.recovery import Recovered, interpolation_error, recovered
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.geometry import named_by_user, nodes_of, pieces_of
+from rmesh_nlp.meshes.geometry import edges_on, named_by_user, nodes_of, pieces_of
 from rmesh_nlp.meshes.mmg import LARGEST, remeshed
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.status import Status
@@ -252,6 +252,6 @@ def sagitta(problem: ContactProblem) -> float:
     """The largest height of an arc over its edge; 0 without curves."""
     heights, mesh = [], problem.mesh
     for name, curve in problem.motion.curves.items():
-        middle = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]].mean(axis=1)
+        middle = mesh.p[:, edges_on(mesh, name)].mean(axis=1)
         heights.append(np.linalg.norm(curve.at(curve.nearest(middle)) - middle, axis=0).max())
     return max(map(float, heights), default=0.0)

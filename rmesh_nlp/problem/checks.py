@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array, cross, largest_side, magnitude
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, members_of
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on, members_of
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
@@ -187,7 +187,7 @@ def _inside(problem: ProblemData, elements: Any) -> Array:
 
 def _along(problem: ProblemData, boundary: str) -> Array:
     """The nodes of a boundary and its quadrature points for tractions, (2, points)."""
-    edges = problem.mesh.facets[:, problem.mesh.boundaries[boundary]]
+    edges = edges_on(problem.mesh, boundary)
     return _nodes_and_points(problem.mesh.p, edges, line_rule(traction_degree(problem.rule))[0])
 
 

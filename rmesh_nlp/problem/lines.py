@@ -25,6 +25,7 @@ from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import (
     EPSILON,
     SEVEN_DIGITS,
+    edges_on,
     last_digit,
     lengths,
     named_by_user,
@@ -94,7 +95,7 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
         places = curve.at(curve.nearest(mesh.p[:, nodes]))
         off = np.linalg.norm(places - mesh.p[:, nodes], axis=0)
         worst = int(np.argmax(off))
-        if not anywhere and off[worst] > OFF * np.min(lengths(mesh.p, mesh.facets[:, mesh.boundaries[name]])):
+        if not anywhere and off[worst] > OFF * np.min(lengths(mesh.p, edges_on(mesh, name))):
             x, y = mesh.p[:, nodes[worst]]
             said = f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
             raise ProblemError(("curves", name), said)

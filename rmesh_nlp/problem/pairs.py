@@ -20,7 +20,7 @@ from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import repaired
 from rmesh_nlp.meshes.curves import Circle, Curve
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on, nodes_of
 from rmesh_nlp.meshes.interfaces import opened
 from rmesh_nlp.problem.obstacle import BEHIND, Obstacle
 from rmesh_nlp.problem.surfaces import off_circle
@@ -93,7 +93,7 @@ def matched(mesh: MeshTri, first: str, second: str, place: Place) -> tuple[Index
     distance = max(np.max(far), np.max(back))
     same = np.full(mesh.p.shape[1], -1)
     same[nodes] = others[nearest]
-    edges, images = mesh.facets[:, mesh.boundaries[second]], same[mesh.facets[:, mesh.boundaries[first]]]
+    edges, images = edges_on(mesh, second), same[edges_on(mesh, first)]
     if distance > SEVEN_DIGITS * largest_side(mesh.p) or nodes.size != others.size:
         said = f"nodes of {first!r} and {second!r} do not coincide: the largest distance is {distance:.3g}"
         raise ProblemError(place, f"{said}; give both boundaries nodes at the same places")

@@ -14,7 +14,7 @@ from rmesh_nlp.fem.sampling import along
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.vtu import state_of
 from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.meshes.geometry import lengths
+from rmesh_nlp.meshes.geometry import edges_on, lengths
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.report import style
@@ -53,7 +53,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         plotting.draw_mesh(axis, nodes, cells, color="0.6")
         for position, (label, boundary) in enumerate(_roles(problem)):
             pen = style.PENS[1 + position % (len(style.PENS) - 1)]  # black are the nodes
-            edges = space.nodes_of(mesh.facets[:, mesh.boundaries[boundary]])
+            edges = space.nodes_of(edges_on(mesh, boundary))
             said = {"color": pen["color"], "label": f"{label}: {boundary}"}
             draw_lines(axis, along(edges, nodes), linewidth=3, **said)
         if free.n:

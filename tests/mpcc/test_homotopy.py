@@ -1,14 +1,13 @@
 """The paths of the relaxations: which t follows which, and when they end."""
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.mpcc import homotopy as module
+from rmesh_nlp.mpcc import solve
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import START, XYW, Answer, ScriptedRun, two_minima, w, x, y
+from support.scripted_run import START, Answer, ScriptedRun, two_minima
 
 S = Status
 TENTHS = [10.0**-k for k in range(9)]
@@ -145,12 +144,6 @@ def test_limit_of_an_nlp_ends_no_path():
     result = solve(two_minima(), [0.5, 0.6], ipopt_relaxed={"max_iter": 2})
     assert (result.success, result.counts["rescues"]) == (True, 0)
     assert {step.status for step in result.history if step.phase == "relaxed"} >= {S.ITERATION_LIMIT}
-
-
-def test_minimum_without_the_signs_of_s_is_found():
-    """x + y - z over z <= 4 x, z <= 4 y: the origin is a minimum and M-stationary."""
-    result = solve(MPCC(XYW, x + y - w, ca.vertcat(w - 4 * x, w - 4 * y), x, y, ubg=0), 1.0)
-    assert (result.success, result.stationarity) == (True, "M")
 
 
 def test_without_a_point_a_path_has_no_end_else_a_step_starts_at_the_one_before():
