@@ -180,7 +180,7 @@ class Continuous:
     def _lowest(self, program: ContactSystem, last: Index, state: Equilibrium) -> Array:
         """The unknowns ``last`` of least energy with gaps and friction at the points of cells.
 
-        ``state`` is the solution with both at nodes. Triangles matter where it presses or is not admissible.
+        ``state`` is the solution with both at nodes. Cells matter where it presses or is not admissible.
         What a gap falls by between points depends on the displacement a little.
         """
 
@@ -192,8 +192,6 @@ class Continuous:
         at_nodes = displacement(state.u)
         near = [
             cells.only(cells.pressed(state.normal_force) | (cells.missing(at_nodes) > 0))
-            if cells.are_triangles
-            else cells
             for cells in self.cells
         ]
         N = sp.vstack([self._rows(cells, cells.normals)[:, last] for cells in near], "csr")

@@ -166,6 +166,10 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     touching, bound = pressing > 0, system.bound((1 - ROUNDING) * pressing)
     friction = np.append(0 * inside, guess.friction[along] * edge)
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
+    # contact of the traces ends before the edges on which that of the nodes does, and all of an edge slides
+    ending, each = np.any(guess.pressure[along] <= 0, axis=0), sliding[inside.size :].reshape(along.shape)
+    touching[inside.size :] &= ~np.isin(along, along[:, ending]).ravel()
+    each += (each == 0) * np.sign(np.sum(each, axis=0, dtype=np.int8))
     solved = solve(system, ActiveSet(touching, sliding))
     if solved.status is not Status.CONVERGED:
         solved = solve(system)

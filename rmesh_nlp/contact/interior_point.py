@@ -82,6 +82,8 @@ class BarrierProgram:
 
     def minimised(self, u: Array) -> Array:
         """The unknowns of least energy, up to ``PROVED`` of it, from u on."""
+        if not self._rows.shape[0]:
+            return u
         best, least, small = u, np.inf, PROVED * float(u @ (self.stiffness @ u))
         for x, y, z in islice(self.steps(u, np.zeros(self.normals.shape[0])), STEPS):
             if y @ z < least:

@@ -16,7 +16,7 @@ from skfem import MeshTri
 from rmesh_nlp.display import Rows, Shown, bounds_in_words, describe, figure
 from rmesh_nlp.errors import ProblemError, expect
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.meshes.arrays import from_arrays
+from rmesh_nlp.meshes.arrays import named
 from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, lengths, named_by_user
 from rmesh_nlp.problem.checks import check, check_names, check_pairs
 from rmesh_nlp.problem.conditions import Dirichlet, LoadStep, PointLoad, Traction, as_tuple, changed
@@ -293,8 +293,8 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     middle = np.where(is_first, *near)
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}
-    triangles = counter_clockwise(new.p, new.t).T
-    mesh = from_arrays(new.p.T, triangles, boundaries, new.subdomains, pairs=problem.pairs)
+    triangles = counter_clockwise(new.p, new.t)
+    mesh = named(MeshTri(new.p, triangles), boundaries, new.subdomains)  # the problem checks it
     return on_mesh(problem, mesh, problem.motion)
 
 
