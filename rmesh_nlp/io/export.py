@@ -232,12 +232,11 @@ def element_table(solution: Solution) -> pd.DataFrame:
 def _table(data: dict[str, Any]) -> pd.DataFrame:
     import pandas as pd  # loading it takes longer than a small solve
 
-    axes = {2: "xy", 3: "xy", 4: ("xx", "yy", "xy", "zz")}
-    columns: dict[str, Array] = {}
-    for name, values in data.items():
-        if np.ndim(values) == 1:
-            columns[name] = values
-        else:
-            for axis, column in zip(axes[values.shape[1]], values.T, strict=False):
-                columns[f"{name}_{axis}"] = column
-    return pd.DataFrame(columns)
+    axes = {(): [""], (2,): ["_x", "_y"], (3,): ["_x", "_y"], (4,): ["_xx", "_yy", "_xy", "_zz"]}
+    return pd.DataFrame(
+        {
+            name + axis: column
+            for name, values in data.items()
+            for axis, column in zip(axes[values.shape[1:]], np.atleast_2d(values.T), strict=False)
+        }
+    )

@@ -1,12 +1,18 @@
-"""Files read by meshio, in a process of its own: some readers find no end of a damaged file, or of memory."""
+"""Files read by meshio or gmsh, in a process of its own: some readers find no end of a damaged file."""
 
 from __future__ import annotations
 
+import re
+from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import meshio
+import numpy as np
 
 from rmesh_nlp.errors import BadInputError, one_line
+from rmesh_nlp.meshes.file_mesh import FileMesh
+from rmesh_nlp.meshes.msh import read_msh
 from rmesh_nlp.optimize.process import Process, packed, serve, unpacked
 
 SECONDS, MEGABYTES = 30.0, 4000.0
@@ -15,8 +21,8 @@ SECONDS, MEGABYTES = 30.0, 4000.0
 _meshio = Process("rmesh_nlp.meshes.by_meshio")
 
 
-def read_file(path: Path, kind: str) -> meshio.Mesh:
-    """The mesh of a file, read in a format and no other.
+def read_file(path: Path, kind: str) -> meshio.Mesh | FileMesh:
+    """What meshio reads of a file in a format and no other, or of MED and UNV gmsh, which must be installed.
 
     Raises
     ------
@@ -35,11 +41,47 @@ def read_file(path: Path, kind: str) -> meshio.Mesh:
 
 def _read(line: bytes) -> bytes:
     """The mesh, or one line for people on why there is none."""
+    path, kind = unpacked(line)
     try:
-        made = meshio.read(*unpacked(line))
-    except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
+        with TemporaryDirectory() as folder:
+            made = (_by_gmsh if kind in ("med", "unv") else _by_meshio)(path, kind, Path(folder, "copy.msh"))
+    except Exception as error:  # meshio's readers and gmsh raise anything
         made = f"{type(error).__name__}: {one_line(error)}"
     return packed(made)
+
+
+def _by_meshio(path: Path, kind: str, copy: Path) -> meshio.Mesh:
+    """The mesh; markers of SU2, of which meshio keeps numbers, are its sets.
+
+    meshio wants the first line of the copy before bulk data of Nastran, which often stand alone, and fails at
+    the last one where a section of SU2 ends early.
+    """
+    markers = dict[str, int]()
+    if kind in ("nastran", "su2"):
+        text = re.sub(r"%.*|[ \t]*(=)[ \t]*", r"\1", path.read_text("utf-8", "replace"))
+        text = re.sub(
+            "(?<=MARKER_TAG=).*",
+            lambda tag: f"{markers.setdefault(tag[0].strip(), len(markers) + 1)}",
+            text,
+        )
+        copy.write_text(f"BEGIN BULK\n{text}\nEND=\n", "utf-8")
+        path = copy
+    made = getattr(meshio, kind.partition("-")[0]).read(path)
+    for name, number in markers.items():
+        made.cell_sets[name] = [np.flatnonzero(tags == number) for tags in made.cell_data["su2:tag"]]
+    return made
+
+
+def _by_gmsh(path: Path, kind: str, copy: Path) -> FileMesh:
+    """The mesh that gmsh writes as a file of its own; sections of UNV begin and end with -1."""
+    if kind == "unv" and sum(line.strip() == b"-1" for line in path.read_bytes().splitlines()) % 2:
+        raise BadInputError("it ends within a section")
+    gmsh = import_module("gmsh")
+    gmsh.initialize(["gmsh", "-v", "0", "-save_all"], interruptible=False)
+    gmsh.open(str(path))
+    gmsh.write(str(copy))
+    gmsh.finalize()
+    return read_msh(copy.read_bytes())
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ def read_msh(data: bytes) -> FileMesh:
     titles = _content(data, b"PhysicalNames").decode(errors="replace")
     names = {
         (int(dimension), int(tag)): name
-        for dimension, tag, name in re.findall(r'^\s*(\d+)\s+(\d+)\s+"(.*)"', titles, re.M)
+        for dimension, tag, name in re.findall(r'^\s*(\d+)\s+(\d+)\s+"(.*?) *"\s*$', titles, re.M)
     }
     index, blocks = positions(table[:, 0]), list[Block]()
     for kind, nodes, groups in elements:
@@ -61,7 +61,7 @@ def read_msh(data: bytes) -> FileMesh:
             names.get((dimension, tag), f"{TITLES[dimension]}-{tag}"): ... for tag in map(abs, groups) if tag
         }
         blocks.append(Block(corners, index(nodes), named))
-    return FileMesh(table[:, 1:], blocks, names=names.values())
+    return FileMesh(table[:, 1:], blocks, names=[*names.values()])
 
 
 def _content(data: bytes, name: bytes) -> bytes:

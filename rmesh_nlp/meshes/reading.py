@@ -15,11 +15,11 @@ from rmesh_nlp.errors import BadInputError, expect_path, located, unknown
 from rmesh_nlp.meshes.abaqus import read_inp
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.by_meshio import read_file
-from rmesh_nlp.meshes.file_mesh import TITLES, USABLE, Block, FileMesh, triangulated
+from rmesh_nlp.meshes.file_mesh import TITLES, USABLE, Block, FileMesh, positions, triangulated
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.msh import read_msh
 
-FORMATS = {suffix: kinds[-1] for suffix, kinds in meshio.extension_to_filetypes.items()}
+FORMATS = {suffix: kinds[-1] for suffix, kinds in meshio.extension_to_filetypes.items()} | {".unv": "unv"}
 """Formats by suffixes; of the two of ``.msh`` that of gmsh."""
 
 
@@ -43,7 +43,6 @@ REFERENCES = {
     "medit:ref",
     "nastran:ref",
     "netgen:index",
-    "su2:tag",
     "tetgen:ref",
 }
 """What meshio calls numbers of groups of cells."""
@@ -70,21 +69,20 @@ def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> Mesh
     data = path.read_bytes() if kind == "gmsh" and b'"skfem:' not in path.read_bytes() else b""
     if kind == "abaqus" or b"$MeshFormat" in data or b"$NOD" in data:
         with located(f"{path}: cannot be read", (ValueError, TypeError, LookupError, ArithmeticError)):
-            own = read_msh(data) if data else read_inp(path)
-        with located(path):
-            return triangulated(own, pairs)
-    file = read_file(path, "ansys" if data else kind)  # the other format of files .msh, of Fluent
-    if any(key.startswith("skfem:") for key in file.cell_data):
-        mesh = from_meshio(file)  # scikit-fem's own way to keep names
-        edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
-        return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains, pairs)
+            file = read_msh(data) if data else read_inp(path)
+    else:
+        file = read_file(path, "ansys" if data else kind)  # the other format of files .msh, of Fluent
+        if isinstance(file, meshio.Mesh) and any(key.startswith("skfem:") for key in file.cell_data):
+            mesh = from_meshio(file)  # scikit-fem's own way to keep names
+            edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
+            return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains, pairs)
     with located(path):
-        return triangulated(_of_meshio(file), pairs)
+        return triangulated(file if isinstance(file, FileMesh) else _of_meshio(file), pairs)
 
 
 def _of_meshio(file: meshio.Mesh) -> FileMesh:
     """What meshio read; groups without names are called by their numbers."""
-    blocks = list[Block]()
+    blocks, index = list[Block](), positions(np.arange(len(file.points)))
     for position, block in enumerate(file.cells):
         corners, groups = CORNERS.get(block.type.rstrip("0123456789"), 0), dict[str, NDArray]()
         if not corners:
@@ -93,13 +91,8 @@ def _of_meshio(file: meshio.Mesh) -> FileMesh:
             tags = file.cell_data[key][position]
             for tag in np.unique(tags[tags > 0]).tolist():
                 groups[f"{TITLES[min(corners, 3) - 1]}-{tag}"] = np.flatnonzero(tags == tag)
-        families = getattr(file, "cell_tags", {})  # of MED: names by number, a name may be in several
-        for name in {name for own in families.values() for name in own}:
-            of_name = [number for number, own in families.items() if name in own]
-            members = np.flatnonzero(np.isin(file.cell_data["cell_tags"][position], of_name))
-            groups |= {name: members} if members.size else {}
         for name, chosen in file.cell_sets.items():
             if chosen[position] is not None and len(chosen[position]):
                 groups[name] = np.asarray(chosen[position])
-        blocks.append(Block(corners, block.data, groups))
+        blocks.append(Block(corners, index(block.data), groups))
     return FileMesh(file.points, blocks, file.point_sets)

@@ -113,11 +113,6 @@ def _stationarity(record: Record) -> str:
     return "S (KKT)" if kind == "S" and record.get("biactive") == 0 else kind
 
 
-def _biactive(record: Record) -> int | None:
-    nodes = record.get("biactive_nodes")
-    return None if nodes is None else len(nodes)
-
-
 def _sum_of_errors(record: Record) -> float | None:
     terms = [record[name] for name in ("I1", "I2", "I3") if record.get(name) is not None]
     return sum(terms) if len(terms) == 3 else None
@@ -140,27 +135,12 @@ def _violation(record: Record) -> float | None:
     return max((one["violation"] for one in constraints if one.get("violation") is not None), default=None)
 
 
-def _left(record: Record) -> float | None:
-    share = record.get("gain_surviving")
-    return None if share is None else 100 * float(share)
-
-
 def short_label(record: Record) -> str:
     """The label below a heading that names the objective."""
     return label({**record, "objective": "energy"})
 
 
 COST = Column("cost|[contact solves]", contact_units, cost)
-BIACTIVE, LABEL = Column("biactive", _biactive), Column("label", _stationarity)
-GAIN = Column(
-    "gain|[%]",
-    lambda record: gain_of(record.get("energy_initial_audited"), record.get("energy_audited")),
-    lambda gain: ".2f" if abs(gain) < 1000 else ".3g",
-)
-GAIN_OF_OBJECTIVE = Column("gain|[%]", lambda record: gain_of(*ends_of(record)), ".4g")
-LEFT = Column("left on refined|meshes [%]", _left, ".3g")
-VIOLATION = Column("violation", _violation, ".1e")
-ENDS = of("objective_initial", "objective_value")
 
 
 @dataclass(frozen=True)
@@ -179,23 +159,11 @@ class Kind:
     rows: Callable[[Records], Records] = tuple
 
 
-def _of_energy(block: Case) -> bool:
-    return block.has_energy
-
-
-def _of_objective(block: Case) -> bool:
-    return not block.has_energy
-
-
 def _with(wanted: Callable[[Record], bool]) -> Callable[[Case], bool]:
     """Blocks with an energy, and a record that asks for the table."""
     return lambda block: block.has_energy and any(map(wanted, block.records))
 
 
-LABELS = (
-    "Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, "
-    "a KKT point. Biactive: pairs of gap and contact force that both vanish."
-)
 CONTACT = (
     Column("boundary", "boundary"),
     *(Column(name.replace("_", "|"), name, ".4g") for name in RESULTS),
@@ -204,24 +172,21 @@ MAIN = Kind(
     "",
     (
         *of("energy_initial_audited", "energy_audited"),
-        GAIN,
+        Column(
+            "gain|[%]",
+            lambda record: gain_of(record.get("energy_initial_audited"), record.get("energy_audited")),
+            lambda gain: ".2f" if abs(gain) < 1000 else ".3g",
+        ),
         *of("iterations", "contact_solves", "wall_time_s", "status"),
     ),
     "Relocation by each formulation. J is the total potential energy of the contact solution on the given "
     "and on the relocated mesh, as assessed: loads by an adaptive rule, gaps along whole edges, friction and "
     "curves integrated. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",
-    _of_energy,
+    lambda block: block.has_energy,
     is_detail=False,
 )
 KINDS = (
     MAIN,
-    Kind(
-        "Other objectives",
-        (*ENDS, BIACTIVE, LABEL, *of("status")),
-        f"Outer objectives other than the energy. {LABELS}",
-        _with(lambda record: objective_of(record) != "energy"),
-        is_detail=False,
-    ),
     Kind(
         "Certificates",
         (
@@ -244,37 +209,29 @@ KINDS = (
     Kind(
         "Outcome",
         (
-            *ENDS,
-            GAIN_OF_OBJECTIVE,
-            LEFT,
-            VIOLATION,
-            LABEL,
-            *of("status"),
+            *of("objective_initial", "objective_value"),
+            Column("gain|[%]", lambda record: gain_of(*ends_of(record)), ".4g"),
+            Column(
+                "left on refined|meshes [%]",
+                lambda row: None if row.get("gain_surviving") is None else 100 * row["gain_surviving"],
+                ".3g",
+            ),
+            Column("violation", _violation, ".1e"),
+            *of("iterations", "status"),
         ),
         "Objective: with mesh and design at the start and at the end of the solve. Gain: in per cent of its "
         "size at the start. Left on refined meshes: the part of the gain that is there when both meshes are "
-        f"refined uniformly. Violation: the largest of a constraint, over its bound. {LABELS}",
-        _of_objective,
-        is_detail=False,
-    ),
-    Kind(
-        "Work",
-        (
-            *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s", "stationarity_residual"),
-            BIACTIVE,
-        ),
-        "KKT factorisations: at least as many as Ipopt took iterations. Time: build, solve and audit. "
-        "First-order residual: of the outer problem, over that at the start.",
-        _of_objective,
+        "refined uniformly. Violation: the largest of a constraint, over its bound.",
+        lambda block: not block.has_energy or any(objective_of(row) != "energy" for row in block.records),
         is_detail=False,
     ),
     Kind(
         "Energies by the rule of the problem",
-        (*of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),),
+        of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
         "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
         "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
         "on the given mesh. rmesh reproduce examines each of the paper's values.",
-        _of_energy,
+        lambda block: block.has_energy,
     ),
     Kind(
         "Costs",
@@ -309,12 +266,17 @@ KINDS = (
         (
             *of("own_equilibrium_residual", "equilibrium_residual"),
             *of("own_complementarity_residual", "complementarity_residual", "stationarity_residual"),
-            BIACTIVE,
-            LABEL,
+            Column(
+                "biactive",
+                lambda row: None if row.get("biactive_nodes") is None else len(row["biactive_nodes"]),
+            ),
+            Column("label", _stationarity),
         ),
         "Residuals of equilibrium and complementarity are dimensionless. Own: of the displacement and "
         "contact forces that the formulation ended with. Assessed: of an independent contact solve on its "
-        f"mesh. First-order residual: of the outer problem, over that on the given mesh. {LABELS}",
+        "mesh. First-order residual: of the outer problem, over that on the given mesh. Label: the "
+        "stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, a KKT "
+        "point. Biactive: pairs of gap and contact force that both vanish.",
         lambda block: True,
     ),
     Kind(

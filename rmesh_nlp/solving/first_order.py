@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +29,8 @@ class FirstOrder:
     Attributes
     ----------
     residual : float
-        Relative to that on the mesh as given (:mod:`rmesh_nlp.models.residual`).
+        Relative to that on the mesh as given (:mod:`rmesh_nlp.models.residual`); NaN where nothing is to be
+        stationary in.
     stationarity : str
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     is_stationary : bool
@@ -70,7 +72,8 @@ def first_order(
     proved = proposed in PROVED and bool(np.any(point.weak))
     if proposed is None:
         proposed = "KKT" if holds else ""
-    return FirstOrder(residual, proposed, holds or proved or (not relocates and said in MET), pulls)
+    at_rest = not (holds or proved or relocates) and said in MET
+    return FirstOrder(math.nan if at_rest else residual, proposed, holds or proved or at_rest, pulls)
 
 
 def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool) -> tuple[str, Values]:

@@ -20,7 +20,6 @@ def summary(solution: Relocated) -> Rows:
     """Status, energies and measured residuals of a Solution, as (label, value) rows for people."""
     final, trace, conditions = solution.final, solution.trace, solution.assessment.first_order
     motion = np.linalg.norm(final.mesh.p - final.before, axis=0)
-    is_at_rest = conditions.is_stationary and not conditions.stationarity  # nothing is to be stationary in
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
         ("success", success_in_words(solution.success, solution.status)),
@@ -28,7 +27,7 @@ def summary(solution: Relocated) -> Rows:
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),
-        ("first-order residual", "-" if is_at_rest else f"{conditions.residual:.1e}"),
+        ("first-order residual", "-" if np.isnan(conditions.residual) else f"{conditions.residual:.1e}"),
         ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
         ("equilibrium residual", f"{final.residuals.equilibrium:.1e}"),

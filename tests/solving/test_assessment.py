@@ -323,6 +323,7 @@ class TestAssessment:
         assert max(vars(found.own_residuals).values()) < 1e-9
         still = solved("fixed", "6.3", (4, 2)).record()
         assert still["cold_contact_solves"] == 1
+        assert (still["status"], still["stationarity_residual"]) == ("converged", None)  # at rest
         assert still["contact_factorisations"] == outer.contact.given.iterations
         smooth = Outer.of(EXAMPLES["6.2"]((4, 2)))
         assert ended(smooth, np.zeros(smooth.n)).final.sliding_nodes is None
