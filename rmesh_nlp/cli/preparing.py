@@ -89,9 +89,9 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     """Validate a problem file, print what it says, draw mesh, roles and motion; or a mesh file or a study."""
     if path.suffix.lower() in FORMATS:
         mesh = _read(path)
-        names = "outside", *named_by_user(mesh.boundaries)
+        names = named_by_user(mesh.boundaries)
         mesh = named(mesh, {"outside": lambda x: x[0] == x[0]})
-        problem = ContactProblem(mesh, Laplace(0.0), names, motion=Motion(0), name=path.name)
+        problem = ContactProblem(mesh, Laplace(0.0), ("outside", *names), motion=Motion(0), name=path.name)
         said = f"a mesh, by its size in {'mm' if np.ptp(mesh.p) > 2 else 'm'}"
         rows = problem.summary()[:4]
         messages = [sign.message for sign in curve_warnings(problem, names)]

@@ -14,7 +14,7 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import Case, blocks_of, order_of, relocates, variant
+from rmesh_nlp.report.blocks import Case, blocks_of, label, order_of, relocates, variant
 from rmesh_nlp.report.columns import short_label
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure, design_figure, profile_figure
 from rmesh_nlp.report.drawing import (
@@ -62,10 +62,10 @@ def block_figures(block: Case, results: Sequence[Result], page: Page) -> Iterato
     given, moved = _bodies(results)
     for record, fields, body in moved:
         made = replace(body, title=f"{'design' if record.get('design') else 'relocated'} by {body.title}")
-        key = str(record.get("key", stem)).removesuffix(f"-{record.get('regularisation')}")
-        yield f"{key}-grid", displacement_figure([*given, made], page, deformed=body.elastic)
+        own = f"{stem}-{label(record)}"
+        yield f"{own}-grid", displacement_figure([*given, made], page, deformed=body.elastic)
         if fields.error_bound is not None and fields.error_bound_initial is not None:
-            yield f"{key}-error", error_figure(fields, record, page)
+            yield f"{own}-error", error_figure(fields, record, page)
     if given and not moved:
         yield f"{stem}-grid", displacement_figure(given, page, deformed=given[0].elastic)
     stresses, progress = stress_figures(results, page), progress_figures(block, results, page)

@@ -385,8 +385,8 @@ def test_other_boundaries_are_drawn_over_a_coordinate_or_the_arc_length() -> Non
 @pytest.mark.slow
 def test_names_of_figures_have_no_weight_of_a_distortion(tmp_path: Path) -> None:
     result = saved(pressed(0.0), tmp_path)
-    known = {"formulation": "joint", "key": "a-joint-0.01", "objective": "energy + 0.0109 shape-size"}
-    record = {**result.record, **known, "example": "a", "n": "9", "regularisation": 0.01}
+    known = {"formulation": "joint", "key": "a-joint-1_0.1", "objective": "energy + 0.0109 shape-size"}
+    record = {**result.record, **known, "example": "a", "n": "9", "regularisation": [1.0, 0.1]}
     block, results = Case((record,)), [replace(result, record=record)]
     names = [name for name, _ in block_figures(block, results, PAGE)]
-    assert names == ["a-joint-grid", "a-9-regularised-stress", "a-9-regularised-convergence"]
+    assert names == ["a-9-joint, regularised-grid", "a-9-regularised-stress", "a-9-regularised-convergence"]
