@@ -83,7 +83,7 @@ def within(exact: Admissible, lower: float, contact: ContactSet, force: float) -
     cells = [each for each in exact.continuous.cells if each.contact.number == contact.number]
     points = np.concatenate([each.points for each in cells], axis=1)
     axis = int(np.argmax(np.ptp(points, axis=(1, 2))))
-    is_near = np.concatenate([each.gaps(exact.displacement) for each in cells]) <= most
+    is_near = np.concatenate([each.near(exact.displacement, most) for each in cells])
     if np.all(is_near):
         return {}
     x = np.where(is_near, points[axis], np.nan)[np.any(is_near, axis=1)]

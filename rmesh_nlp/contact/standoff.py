@@ -100,6 +100,13 @@ class Cells:
         """(m, k) least gaps about the points."""
         return self.along(displacement) + self.distance - self.dips(displacement)
 
+    def near(self, displacement: Array, most: float) -> Mask:
+        """(m, k) points between which, or about which, the gap may be at most ``most``."""
+        is_near = self.gaps(displacement) <= most
+        if self.are_triangles:
+            return np.broadcast_to(np.any(is_near, axis=1, keepdims=True), is_near.shape)
+        return self._beside(is_near[:, 1:] | is_near[:, :-1])
+
     def depths(self, displacement: Array) -> Array:
         """(m,) how far the foundation passes into each cell at its points, 0 without."""
         return np.abs(np.minimum(np.min(self.along(displacement) + self.distance, axis=1), 0.0))
@@ -122,10 +129,9 @@ class Cells:
         rest = np.maximum(bend / 2 - change, 0.0)
         return self._beside(np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
 
-    def _beside(self, sag: Array) -> Array:
-        """(m, k) largest of what is between points and their neighbours."""
-        if self.are_triangles:
-            return sag
+    @staticmethod
+    def _beside(sag: Array) -> Array:
+        """(m, k) largest of what is between points of edges and their neighbours, (m, k - 1)."""
         return np.maximum(np.pad(sag, ((0, 0), (1, 0))), np.pad(sag, ((0, 0), (0, 1))))
 
     def missing(self, displacement: Array) -> Array:
