@@ -105,7 +105,8 @@ class Cells:
         is_near = self.gaps(displacement) <= most
         if self.are_triangles:
             return np.broadcast_to(np.any(is_near, axis=1, keepdims=True), is_near.shape)
-        return self._beside(1.0 * (is_near[:, 1:] | is_near[:, :-1])) > 0
+        either = np.asarray(is_near[:, 1:] | is_near[:, :-1], dtype=float)
+        return self._beside(either) > 0
 
     def depths(self, displacement: Array) -> Array:
         """(m,) how far the foundation passes into each cell at its points, 0 without."""
