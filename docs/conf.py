@@ -6,6 +6,7 @@ import inspect
 import re
 import shutil
 from enum import Enum
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,7 @@ def for_sphinx(app: Any, name: str, source: list[str]) -> None:
 
 def setup(app: Any) -> None:
     """Register the hooks above, and write the names that get pages."""
+    import_module("sphinxcontrib.katex").KATEX_DEFAULT_OPTIONS["output"] = "mathml"  # of what node renders
     app.connect("autodoc-process-docstring", add_inherited_fields, priority=400)
     app.connect("autodoc-skip-member", has_no_meaning)
     app.connect("source-read", for_sphinx)

@@ -49,7 +49,9 @@ def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
     Parameters
     ----------
     solutions : Solution
+        One panel each.
     what : "mesh", "displacement", "stress" or "pressure"
+        What is drawn of each.
     style
         Keywords of matplotlib's function that draws, such as ``cmap``, ``vmin``, ``vmax``.
 
@@ -158,6 +160,7 @@ def compare(
     Parameters
     ----------
     problem : ContactProblem
+        What all formulations solve.
     formulations : sequence of str or Formulation, optional
         Names of installed formulations, or objects such as ``Joint(first_barrier=1e-2)``; an object is
         called by its name and its settings that differ from the defaults, ``joint(first_barrier=0.01)``. By

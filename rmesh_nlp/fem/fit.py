@@ -73,6 +73,7 @@ def fit(
     weights : (n,) array, optional
         Of the squares; 1 by default.
     name : str
+        What tables and messages call it.
     """
     places, displacements = np.asarray(points, dtype=float), np.atleast_2d(np.asarray(values, dtype=float))
     sizes = np.ones(places.shape[-1]) if weights is None else np.asarray(weights, dtype=float)

@@ -120,6 +120,7 @@ def contact_length(boundary: str, reference: float, *, name: str = "contact leng
     reference : float
         P, a pressure well below those on most of the contact, in units of stress.
     name : str
+        What tables and messages call it.
     """
     with located(name):
         check_positive(reference=reference)
@@ -148,6 +149,7 @@ def peak_pressure(
     exponent : int
         At least 3, so that second derivatives are continuous; the larger, the closer to the peak.
     name : str
+        What tables and messages call it.
     """
     with located(name):
         check_positive(reference=reference)

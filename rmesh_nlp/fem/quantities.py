@@ -82,7 +82,9 @@ def body_integral(
         ``density(x, y, u, slope)`` with the position, the displacement (components,) and its
         gradient (components, 2). Elements are taken with straight sides, also beside curves.
     name : str
+        What tables and messages call it.
     subdomain : str, optional
+        Where it is integrated; by default in the whole body.
     degree : int
         Of the quadrature.
     """
@@ -109,10 +111,12 @@ def boundary_integral(
     Parameters
     ----------
     boundary : str
+        Its name in the mesh.
     density : function
         ``density(x, y, u, n)`` with the position, the displacement and the outward unit normal (2,). Edges
         are straight, also on curves.
     name : str
+        What tables and messages call it.
     mean : bool
         Whether to divide by the length of the boundary on the initial mesh.
     degree : int
@@ -143,6 +147,7 @@ def nodal(
     function : function
         ``function(X, u)`` with the positions (2, nodes) and displacements (components, nodes).
     name : str
+        What tables and messages call it.
     """
     chosen = np.asarray(nodes, dtype=np.int64).reshape(-1, 1)
 
@@ -168,10 +173,12 @@ def at_point(
     Parameters
     ----------
     point : (float, float)
+        In units of length.
     function : function
         ``function(x, y, u)`` with the node's position after the relocation. A node that is not
         pinned may move away from the point.
     name : str
+        What tables and messages call it.
 
     Raises
     ------
@@ -214,6 +221,7 @@ def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Obj
     Parameters
     ----------
     of : Objective
+        What is to have a value.
     value : float
         What it should be.
     name : str, optional

@@ -144,6 +144,7 @@ class Spline(Curve):
     points : tuple of (float, float)
         At least four, in order. The first is not repeated at the end of a closed spline.
     closed : bool
+        Whether it ends where it begins.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -197,7 +198,9 @@ class Parametrised(Curve):
     x, y : functions of t
         Twice differentiable.
     interval : (float, float)
+        Ends of t.
     closed : bool
+        Whether it ends where it begins.
     """
 
     x: Callable[[Any], Any]

@@ -129,6 +129,7 @@ class LowerLevel:
         Parameters
         ----------
         x : array_like
+            Values of the upper level's variables.
         y0 : array_like
             Start; a scalar fills it. Ipopt moves it into the bounds.
         p : array_like

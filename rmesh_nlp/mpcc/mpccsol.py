@@ -170,6 +170,7 @@ def mpccsol(
     Parameters
     ----------
     name : str
+        Of the CasADi Function.
     plugin : str
         A relaxation, see ``RELAXATIONS``.
     problem : mapping

@@ -50,6 +50,7 @@ class Stage(Measured):
     ----------
     iterations : int
     status : Status
+        How it ended.
     seconds : float
     multiplier : float
         Largest multiplier of the relaxation's rows: positive where a relaxation with rows acts.
@@ -82,6 +83,7 @@ class Iterate(Measured):
     iteration : int
         Counted from 1 through the whole solve.
     x : array
+        The point.
     """
 
     iteration: int
@@ -185,8 +187,11 @@ class MPCCResult:
     Attributes
     ----------
     x : array
+        The point.
     f : float
+        The objective there.
     status : Status
+        How it ended.
     success : bool
         True only if feasible, complementary and stationary within the tolerances, all measured
         on the source problem.
@@ -215,6 +220,7 @@ class MPCCResult:
         Pairs with ``G = H = 0`` within the activity tolerance; ``n_biactive`` is their number. With none of
         them S says no more than that the point is a KKT point of the one branch it lies in, see ``label``.
     history : tuple of Stage
+        The NLPs that were solved, in their order.
     counts : mapping
         ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ...
     seconds : mapping

@@ -37,6 +37,7 @@ class MPCCSolver:
     Parameters
     ----------
     mpcc : MPCC
+        The problem.
     options : Options or mapping of its fields, optional
         Single fields may be given by name instead: ``MPCCSolver(mpcc, relaxation="l1-penalty")``.
     """
@@ -175,6 +176,7 @@ def solve(
     Parameters
     ----------
     mpcc : MPCC
+        The problem.
     x0 : array_like
         Start; need not be feasible. A scalar fills it.
     p : array_like
@@ -184,6 +186,7 @@ def solve(
         tried at once with them, and if it does not end at a stationary point, the first relaxation starts
         from them.
     options : Options or mapping of its fields, optional
+        Single fields may be given by name instead.
     progress : bool or callable
         True prints one line per NLP solve; a callable receives the line.
     on_iteration : callable, optional

@@ -76,6 +76,7 @@ class PointLoad(Checked):
     Parameters
     ----------
     node : int
+        Its number in the mesh.
     force : tuple of float
         Per unit thickness, one entry per displacement component.
     """

@@ -67,6 +67,7 @@ def certify(
     Parameters
     ----------
     solution : Solution
+        What was computed.
     quantities : sequence of str
         Linear ones that are bounded as well: "mean(top, -uy)", "boundary(top, x*ux)", and integrals of
         pressure times a weight, "pressure(bottom, x)". The resultants of the contact boundaries,

@@ -58,6 +58,7 @@ def solve(
     Parameters
     ----------
     problem : ContactProblem
+        What is solved.
     formulation : str or Formulation
         A name of :func:`rmesh_nlp.formulations`, or an object whose fields are its settings, such as
         ``Joint(first_barrier=1e-2)`` of ``formulations.joint``. ``auto`` chooses for the problem and the

@@ -49,6 +49,7 @@ class Monitor:
     Parameters
     ----------
     limits : Limits, optional
+        Seconds and iterations, at most.
     on_step : callable, optional
         Called with each step.
     mesh : skfem.MeshTri, optional

@@ -45,6 +45,7 @@ class Outer:
     contact : ContactSolver
         Contact solves by the problem's own rules, on its mesh.
     objective : Objective
+        What is minimised.
     tolerance : float
         Largest first-order residual of a stationary point.
     is_near : bool

@@ -33,16 +33,21 @@ class Relocated:
     trace : Trace
         Steps, work and seconds of the solve.
     formulation : str
+        Its name.
     start : str
         "given", "random", "positions", or the formulation whose solution was the start.
     settings : dict
         Settings that differ from the defaults of the formulation.
     seed : int or None
+        Of random node positions, where the solve began there.
     limits : Limits
+        Seconds and iterations that it was given.
     safe : str, optional
         What followed an exploited end.
-    chosen_by, chosen : str, optional
-        Who chose the formulation, and why.
+    chosen_by : str, optional
+        Who chose the formulation.
+    chosen : str, optional
+        Why it was chosen.
     details : mapping of str to object
         What the formulation adds to the record.
     reduced_error : ReducedError

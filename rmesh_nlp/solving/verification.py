@@ -31,6 +31,7 @@ class TaylorTest(Shown):
     Attributes
     ----------
     objective : str
+        Its text.
     value : float
         The objective at the point.
     slope : float
@@ -91,6 +92,7 @@ def verify_gradient(
     Parameters
     ----------
     problem : ContactProblem
+        Whose gradient is tested.
     objective : str or Objective
         As in ``solve``.
     seed : int
