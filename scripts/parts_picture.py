@@ -13,7 +13,7 @@ import rmesh_nlp as rm
 def main(target: str) -> None:
     """Write the picture; each part is solved on its mesh."""
     files = sorted(Path("docs/parts").glob("*.toml"))
-    _, axes = plt.subplots(2, len(files) // 2, figsize=(12, 5), layout="constrained")
+    _, axes = plt.subplots(2, len(files) // 2, figsize=(15, 6.5), layout="constrained")
     for axis, file in zip(axes.ravel(), files, strict=True):
         rm.solve(rm.read_problem(file), "fixed").plot("stress", axes=axis)
         axis.set(title=file.stem.replace("_", " "), xlabel="", ylabel="", xticks=[], yticks=[])

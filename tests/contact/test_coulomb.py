@@ -304,6 +304,11 @@ def half_width(x: Array, stress: Array) -> float:
     return float(abs(zeros[0] - zeros[1]) / 2)
 
 
+def means(x: Array, force: Array) -> Array:
+    """Of stresses over edges, by forces at their ends and middles."""
+    return np.asarray(((force[:-1:2] + force[2::2]) / 2 + force[1::2]) / np.diff(x[::2]))
+
+
 def test_partial_slip_is_that_of_cattaneo_and_mindlin() -> None:
     """Stick over contact is sqrt(1 - Q/(F P)), to 2 % on 516 nodes; a bracket of its end is an edge wide.
 
@@ -319,10 +324,7 @@ def test_partial_slip_is_that_of_cattaneo_and_mindlin() -> None:
     load = abs(tangential.sum()) / (COEFFICIENT * normal.sum())
     assert 0.2 < load < 0.8
 
-    def means(force: Array) -> Array:
-        return np.asarray(((force[:-1:2] + force[2::2]) / 2 + force[1::2]) / np.diff(x[::2]))
-
-    middle, pressure, friction = (x[:-1:2] + x[2::2]) / 2, means(normal), means(tangential)
+    middle, pressure, friction = (x[:-1:2] + x[2::2]) / 2, means(x, normal), means(x, tangential)
     held = sticks[:-1:2] & sticks[1::2] & sticks[2::2]
     pressed = (normal[:-1:2] > 0) & (normal[2::2] > 0)
     contact = half_width(middle[pressed], pressure[pressed])
@@ -331,6 +333,36 @@ def test_partial_slip_is_that_of_cattaneo_and_mindlin() -> None:
     first, last = np.flatnonzero(sticks)[[0, -1]]
     low, high = (x[last] - x[first]) / 2, (x[last + 1] - x[first - 1]) / 2
     assert low - EDGE < np.sqrt(1 - load) * contact < high + EDGE
+
+
+def test_unloading_leaves_the_stress_of_mindlin() -> None:
+    """Where Q falls from Q1, slip turns outside of b = a sqrt(1 - (Q1 - Q)/(2 F P)).
+
+    The stress is then -1, 2 and -1 times the ellipses over a, b and c = a sqrt(1 - Q1/(F P)): R. D. Mindlin,
+    H. Deresiewicz, J. Appl. Mech. 20 (1953) 327-344, as for a line in K. L. Johnson, Contact Mechanics, 7.4.
+    """
+    before = ContactSolver(pressed_block(shear=0.04))
+    back = rm.LoadStep(dirichlet=rm.Dirichlet("top", (0.012, -PRESS)))
+    after = ContactSolver(before.problem.after(back, before.displacement.values(before.given.u)))
+    places = after.discretisation.space.points(np.asarray(after.problem.mesh.p))[0, after.contact_nodes]
+    along = np.argsort(places)
+    x, state = places[along], after.given
+    normal, loaded, left = (
+        v[along] for v in (state.normal_force, before.given.tangential_force, state.tangential_force)
+    )
+    most, now = (abs(v.sum()) / (COEFFICIENT * normal.sum()) for v in (loaded, left))
+    assert 0.1 < now < most - 0.2 < 0.5
+    middle, pressure, stress = (x[:-1:2] + x[2::2]) / 2, means(x, normal), means(x, left)
+    pressed = (normal[:-1:2] > 0) & (normal[2::2] > 0)
+    a = half_width(middle[pressed], pressure[pressed])
+    b, c = a * np.sqrt(1 - (most - now) / 2), a * np.sqrt(1 - most)
+    sticks = (state.active.touching & (state.active.sliding == 0))[along]
+    first, last = np.flatnonzero(sticks)[[0, -1]]
+    assert (x[last] - x[first]) / 2 < b < (x[last + 1] - x[first - 1]) / 2
+    inner, unit = np.abs(middle) < c - EDGE, COEFFICIENT * pressure.max()
+    one, two, three = (np.sqrt(r**2 - middle[inner] ** 2) for r in (a, b, c))
+    wanted = np.sign(loaded.sum()) * unit / a * (2 * two - one - three)
+    np.testing.assert_allclose(stress[inner], wanted, rtol=0, atol=0.01 * unit)
 
 
 PLATE = {0.0: 2.86e-5, 0.00125: 2.72e-5, 0.005: 2.28e-5, 0.0075: 1.98e-5, 0.01125: 1.50e-5}
