@@ -77,6 +77,8 @@ html_theme_options = {
     "header_links_before_dropdown": 5,
 }
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["formulas.css"]
 html_sidebars = {name: [] for name in ("index", "getting_started", "theory")}
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
