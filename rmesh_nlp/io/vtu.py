@@ -56,16 +56,16 @@ def state_of(
     for part in space.contact_sets:
         which, obstacle = part.nodes, part.obstacle
         points = nodes[:, which]
-        bound[which] = obstacle.friction_law.bound(points, pressure[which])
         along = np.sum(obstacle.normals(points) * part.relative(u)[:, which], axis=0)
         # of two foundations that a node may meet the nearer one
         gap[which] = np.fmin(gap[which], along + obstacle.distances(points))
         if obstacle.boundary is Place.INTERIOR:
             continue
+        name, own = obstacle.place, np.unique(space.nodes_of(contact_edges(problem, obstacle)))
+        bound[own] = obstacle.friction_law.bound(nodes[:, own], pressure[own])  # at the ends of cracks too
         if obstacle.other and part.partner is not None:
             for values in (pressure, tangential, bound, gap):
                 values[part.partner[which]] = values[which]
-        name, own = obstacle.place, np.unique(space.nodes_of(contact_edges(problem, obstacle)))
         while name in feet:  # another foundation of the same boundary
             name += "'"
         feet[name] = np.full_like(nodes, np.nan)

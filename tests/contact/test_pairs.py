@@ -1,5 +1,6 @@
 """Two bodies, or the two sides of an interface, that touch at pairs of nodes."""
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import nodes_of
@@ -67,6 +69,15 @@ def test_interface_opens_but_for_its_end_inside_the_body(order: int) -> None:
     own, others = part.carriers(part.nodes[:9])
     opening = (u[1, own] - u[1, others])[np.argsort(problem.mesh.p[0, own])]
     assert np.all(np.diff(opening, prepend=0) > 0)
+
+
+def test_friction_bound_is_drawn_at_the_end_of_a_crack() -> None:
+    problem = cracked(-1.0, 1)
+    rough = replace(problem, obstacle=replace(problem.obstacles[0], coulomb=0.3))
+    state = fields_of(rm.solve(rough, "fixed")).final
+    (tip,) = np.flatnonzero(np.all(np.isclose(state.nodes, [[-0.5], [0]]), axis=0))
+    assert state.pressure[tip] > 0
+    assert state.friction_bound[tip] == pytest.approx(0.3 * state.pressure[tip])
 
 
 def test_pressed_interface_without_friction_is_that_of_a_whole_body_where_it_would_not_slip() -> None:
