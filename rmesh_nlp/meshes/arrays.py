@@ -19,7 +19,7 @@ from skfem import MeshTri
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, Index, largest_side
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, mismatch, signed_areas
 from rmesh_nlp.settings import ByName
 
 
@@ -51,10 +51,8 @@ def from_arrays(
         If an array has the wrong shape or a value that is not finite, a triangle has a
         missing or repeated node, no area, or covers another, a node hangs on an edge, or a name is empty.
     """
-    p, t = _checked(np.array(nodes, dtype=float), np.array(triangles))
-    p, t, number = _without_duplicates(
-        p, t, [[(boundaries or {}).get(n, ()) for n in both] for both in pairs]
-    )
+    names, (p, t) = boundaries or {}, _checked(np.array(nodes, dtype=float), np.array(triangles))
+    p, t, number = _without_duplicates(p, t, [[names.get(n, ()) for n in both] for both in pairs])
     used = np.unique(t)
     if used.size < p.shape[1]:
         repaired(f"dropped {p.shape[1] - used.size} nodes that belong to no triangle")
@@ -67,8 +65,11 @@ def from_arrays(
         t = counter_clockwise(p, t)
     mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
     if wrong := fault(mesh):
+        for both in pairs:
+            if {*both} <= {*names}:
+                wrong = mismatch(p, [np.ravel(number[names[n]]) for n in both], both) or wrong
         raise BadInputError(wrong)
-    return _named(mesh, boundaries or {}, subdomains or {}, number)
+    return _named(mesh, names, subdomains or {}, number)
 
 
 def named(

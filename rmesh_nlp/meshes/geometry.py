@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_matrix
 from scipy.sparse.csgraph import connected_components, depth_first_order
+from scipy.spatial.distance import directed_hausdorff
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, Place, ProblemError, unknown
@@ -24,6 +26,18 @@ EPSILON = float(np.finfo(float).eps)
 
 SEVEN_DIGITS = 1e-6
 """Relative distance of nodes that are at one place: files are often written with seven digits."""
+
+
+def mismatch(p: Array, nodes: Sequence[Index], names: tuple[str, str]) -> str:
+    """What to say of nodes of two boundaries that are not at the same places; empty if they are."""
+    a, b = (p[:, each].T for each in nodes)
+    far = max(directed_hausdorff(a, b)[0], directed_hausdorff(b, a)[0])
+    if far <= SEVEN_DIGITS * largest_side(p):
+        return ""
+    return (
+        f"nodes of {names[0]!r} and {names[1]!r} do not coincide: the largest distance is {far:.3g}; "
+        "give both boundaries nodes at the same places"
+    )
 
 
 def last_digit(nodes: NDArray) -> float:

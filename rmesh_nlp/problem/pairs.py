@@ -20,7 +20,7 @@ from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import repaired
 from rmesh_nlp.meshes.curves import Circle, Curve
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on, nodes_of
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on, mismatch, nodes_of
 from rmesh_nlp.meshes.interfaces import opened
 from rmesh_nlp.problem.obstacle import BEHIND, Obstacle
 from rmesh_nlp.problem.surfaces import off_circle
@@ -88,15 +88,12 @@ def paired(
 def matched(mesh: MeshTri, first: str, second: str, place: Place) -> tuple[Index, Index]:
     """Nodes of a boundary, and those of another one at the same places; the ends of cracks have both."""
     nodes, others = nodes_of(mesh, first), nodes_of(mesh, second)
-    far, nearest = cKDTree(mesh.p[:, others].T).query(mesh.p[:, nodes].T)
-    back, _ = cKDTree(mesh.p[:, nodes].T).query(mesh.p[:, others].T)
-    distance = max(np.max(far), np.max(back))
+    if wrong := mismatch(mesh.p, (nodes, others), (first, second)):
+        raise ProblemError(place, wrong)
+    nearest = cKDTree(mesh.p[:, others].T).query(mesh.p[:, nodes].T)[1]
     same = np.full(mesh.p.shape[1], -1)
     same[nodes] = others[nearest]
     edges, images = edges_on(mesh, second), same[edges_on(mesh, first)]
-    if distance > SEVEN_DIGITS * largest_side(mesh.p) or nodes.size != others.size:
-        said = f"nodes of {first!r} and {second!r} do not coincide: the largest distance is {distance:.3g}"
-        raise ProblemError(place, f"{said}; give both boundaries nodes at the same places")
     edges, images = (np.unique(np.sort(each, axis=0), axis=1) for each in (edges, images))
     if not np.array_equal(edges, images):
         raise ProblemError(place, f"the edges of {first!r} and {second!r} do not coincide")

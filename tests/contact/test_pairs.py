@@ -103,6 +103,20 @@ def test_nodes_that_do_not_coincide_are_refused_with_their_distance() -> None:
         pressed(apart)
 
 
+def test_sides_with_other_divisions_are_refused_with_the_distance() -> None:
+    """One of their nodes hangs on an edge, which is not what is wrong."""
+    a, b = (rm.shapes.rectangle(n, 1, x=(0, 2), y=(n - 4, n - 3)) for n in (4, 5))
+    shift = a.p.shape[1]
+    sides = {"low": a.facets[:, a.boundaries["top"]].T, "high": shift + b.facets[:, b.boundaries["bottom"]].T}
+    arrays = np.hstack([a.p, b.p]).T, np.hstack([a.t, shift + b.t]).T, sides
+    with pytest.raises(
+        BadInputError, match=r"'low' and 'high' do not coincide: the largest distance is 0\.2"
+    ):
+        from_arrays(*arrays, pairs=[("low", "high")])
+    with pytest.raises(BadInputError, match="hangs on the edge"):
+        from_arrays(*arrays, pairs=[("low", "other")])
+
+
 def test_nodes_that_nearly_coincide_are_put_together_and_the_distance_is_told() -> None:
     mesh = stacked()
     p = np.array(mesh.p)
