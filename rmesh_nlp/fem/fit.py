@@ -27,10 +27,7 @@ from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.reach import corners, least_areas
-from rmesh_nlp.problem import signed_areas
-
-WITHIN = 1e-6
-"""Barycentric coordinates above minus this are in a triangle: files have a few digits."""
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, signed_areas
 
 DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
 
@@ -156,7 +153,7 @@ def _located(on: Fields, points: Array, name: str) -> Index:
     unknowns = [positions.index, *([] if design is None else [design.values.index])]
     nodes = positions.values(np.zeros(1 + max(int(index.max(initial=0)) for index in unknowns)))
     limits, vertices = corners(on.problem, positions, nodes), []
-    least = -WITHIN * signed_areas(nodes, triangles)
+    least = -SEVEN_DIGITS * signed_areas(nodes, triangles)
     for x in points.T:
         in_place = _least_parts(np.broadcast_to(nodes[:, None], limits.shape), triangles, x) >= least
         inside = triangles[:, in_place]
