@@ -476,7 +476,10 @@ def less_half_the_work(corners: list[complex]) -> float:
 EXACT = {smooth: -(np.pi**2) / 4, signorini: less_half_the_work([1, 1 + 1j, -1 + 1j, -1])}
 
 
-@pytest.mark.parametrize(("make", "order", "rate"), [(smooth, 1, 2), (smooth, 2, 4), (signorini, 2, 3)])
+@pytest.mark.parametrize(
+    ("make", "order", "rate"),
+    [(smooth, 1, 2), (smooth, 2, 4), pytest.param(signorini, 2, 3, marks=pytest.mark.slow)],
+)
 def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(make, order, rate) -> None:
     widths = []
     for n in (4, 8):

@@ -179,6 +179,7 @@ def test_the_bound_falls_by_what_forces_and_given_displacements_may_be_wrong_by(
     assert bracketing.bracket(problem, problem.mesh.p, guess).lower < 0.5 - 0.9e-3
 
 
+@pytest.mark.slow
 def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
     problem = replace(block(E, BOW, n=(3, 1)), motion=Motion(0))
     outer = Outer.of(problem, "area")

@@ -47,7 +47,7 @@ def test_every_formulation_has_the_common_keywords(formulation: Any) -> None:
 
 WITH_STEPS = pytest.mark.parametrize(
     ("formulation", "problem"),
-    [(nested, SMALL), (joint, SMALL), (mpcc, SMALL), (auto, UNLIMITED)],
+    [(nested, SMALL), (joint, SMALL), (mpcc, SMALL), pytest.param(auto, UNLIMITED, marks=pytest.mark.slow)],
     ids=["nested", "joint", "mpcc", "cascade"],
 )
 
@@ -140,9 +140,9 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
 @pytest.mark.parametrize(
     ("formulation", "settings"),
     [
-        (nested, {"newton": {"first_radius": 1e-3, "max_products": 10}}),
         (joint, {"tol": 1e-3}),
-        (mpcc, {"options": {"t0": 1e-3}}),
+        pytest.param(nested, {"newton": {"first_radius": 1e-3, "max_products": 10}}, marks=pytest.mark.slow),
+        pytest.param(mpcc, {"options": {"t0": 1e-3}}, marks=pytest.mark.slow),
     ],
 )
 def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the_path(

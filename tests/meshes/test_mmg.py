@@ -79,7 +79,7 @@ class TestNames:
 
 
 class TestDomain:
-    @pytest.mark.parametrize("length", [0.03, 0.4])
+    @pytest.mark.parametrize("length", [0.1, 0.4])
     def test_l_shape_keeps_its_corners(self, length: float) -> None:
         mesh = shapes.l_shape(0.25)
         new = made(mesh, length)

@@ -74,15 +74,8 @@ def test_steps_are_cut_where_an_element_would_lose_most_of_its_area(length: floa
     assert (part == 1.0) == (length < 1e-2)
 
 
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [
-        ("6.1", 3),
-        pytest.param("6.1", 5, marks=pytest.mark.slow),
-        pytest.param("6.2", (6, 3), marks=pytest.mark.slow),
-        pytest.param("6.3", (6, 3), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size"), [("6.1", 3), ("6.1", 5), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_nested_ends_at_a_minimum_with_a_distortion(name: str, size: int | tuple[int, int]) -> None:
     energy = with_distortion(replace(no_move_limits(EXAMPLES[name](n=size)), quadrature=6))
     outer, steps = Outer.of(energy.relocation.parts.problem, energy.relocation.objective), list[Step]()

@@ -21,7 +21,7 @@ from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from support.objectives import even_sum, value_on, values_at
-from support.orders import ORDERS
+from support.orders import ORDERS, slow_but
 from support.problems import COULOMB, LENGTH, PRESSURE, SHEAR, coulomb_slab, sliding_block
 from support.reduced import CONTACTS, OTHERS, reduced
 from support.solved import example
@@ -86,7 +86,9 @@ def check_derivatives(problem: ContactProblem, parts: list[Objective | str]) -> 
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize(
+    "name", slow_but(PROBLEMS, "curved foundation, stick and slip", "punch of a free shape, Coulomb")
+)
 def test_derivatives_of_a_function_of_forces(name: str, order: int) -> None:
     forces = Objective(((1.0, Term("function of sums", of_sums)),))
     check_derivatives(replace(PROBLEMS[name](), order=order), [forces])
@@ -111,7 +113,8 @@ def test_derivatives_of_named_quantities(order: int) -> None:
     check_derivatives(problem, [text.format("contact") for text in TERMS])
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2])
 def test_derivatives_of_the_area(order: int) -> None:
     """Levels collapse with it where it is added to the energy, as with all terms in the positions alone."""
     problem = replace(punch(), obstacle=rm.Obstacle.graph("bottom", 0.0), order=order)
@@ -124,7 +127,8 @@ def test_derivatives_of_the_area(order: int) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["6.3", pytest.param("Coulomb, varying", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["6.3", "Coulomb, varying"])
 def test_the_kkt_model_has_the_value_and_the_sums(name: str) -> None:
     outer = Outer.of(PROBLEMS[name]())
     wanted = even_sum(outer, [text.format("contact") for text in TERMS])
@@ -183,7 +187,7 @@ def test_compliance_of_a_bar_and_of_a_membrane_by_hand() -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("name", ["6.1", "6.3", "sloped, stick and slip", "gaps along edges"])
+@pytest.mark.parametrize("name", ["6.1", "sloped, stick and slip", *slow_but(["6.3", "gaps along edges"])])
 def test_sums_over_the_nodes_of_a_contact_boundary(name: str, order: int) -> None:
     problem = replace((CONTACTS | OTHERS)[name](), order=order)
     outer, boundary = Outer.of(problem), problem.obstacles[0].boundary

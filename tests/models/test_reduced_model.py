@@ -98,9 +98,11 @@ PROBLEMS = {
     **{name: OTHERS[name] for name in GEOMETRIES},
     **QUADRATIC,
 }
+KINDS = "6.1", "curved foundation, stick and slip", "along a parametrised curve", "gaps along edges"
+KINDS += "6.3, order 2", "two obstacles at a node, order 2"
 
 
-@pytest.mark.parametrize("name", slow_but(PROBLEMS))
+@pytest.mark.parametrize("name", slow_but(PROBLEMS, *KINDS))
 def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     energy, rng = reduced(PROBLEMS[name]()), np.random.default_rng(1)
     assert order_at_random(energy, energy.relocation.parts.n_q, 1, 0.6) >= 1.9
@@ -255,7 +257,9 @@ def test_derivatives_are_those_of_the_lagrangian() -> None:
     assert difference_order(gradient, product, q, d, 1e-3) == pytest.approx(2, abs=0.1)
 
 
-@pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
+@pytest.mark.parametrize(
+    "name", slow_but(ENERGIES, "6.1, areas", "gaps along edges, friction", "6.3, friction, order 2")
+)
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
     function = Outer.of(ENERGIES[name]()).energy
     larger, n, rng = reduced_nlp(function), function.relocation.parts.n_q, np.random.default_rng(7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -177,6 +178,11 @@ def test_the_error_is_near_the_true_one_on_a_fine_mesh_and_that_of_all_regions()
     assert parts.error == pytest.approx(whole.error, rel=0.05)
 
 
+@cache
+def coarsest() -> Solved:
+    return Solved.of(signorini(2))
+
+
 class TestRounds:
     """Of a start whose meshes have given energies or fail; each begins on the mesh of the one before."""
 
@@ -202,7 +208,7 @@ class TestRounds:
 
         monkeypatch.setattr(remeshing, "remeshed_problem", remesh)
         monkeypatch.setattr(remeshing, "_solved", solve)
-        return metric_start(Solved.of(signorini(2)), 9, budget)
+        return metric_start(coarsest(), 9, budget)
 
     @pytest.mark.parametrize(
         ("energies", "best"), [([-1.0, -2.0, -2.01, -9.0], -2.01), ([-1.0, -2.0, -1.9], -2.0)]
@@ -219,7 +225,7 @@ class TestRounds:
         budget = Budget(Limits(iterations=1))
         assert self.start(monkeypatch, [-1.0, -2.0], budget).energies == (-1.0,)
         with pytest.raises(StoppedError):
-            metric_start(Solved.of(signorini(2)), 9, budget)
+            metric_start(coarsest(), 9, budget)
 
     @pytest.mark.parametrize(
         "error", [ProblemError("mesh", "not solved"), BadInputError("folds"), StoppedError()]

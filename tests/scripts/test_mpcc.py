@@ -210,6 +210,7 @@ def test_verdict_tells_wrong_from_undecided(known, said, word):
     assert verdict(point, *said) == word
 
 
+@pytest.mark.slow
 def test_labels_are_those_that_are_known(capsys):
     assert main(["--few", "4", "--many", "1"]) == 0
     assert "5 right, 0 undecided, 0 wrong" in capsys.readouterr().out

@@ -17,7 +17,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
 from rmesh_nlp.solving.outer import Outer
 from support.designs import BOW, DESIGNS, H0, LIMITED, E, F, block, largest_mean
-from support.orders import ORDERS
+from support.orders import ORDERS, slow_but
 from support.taylor import difference_order, taylor_order
 
 FORMULATIONS = ("nested", "mpcc")
@@ -194,7 +194,7 @@ def at_random(problem: ContactProblem, objective: str = OBJECTIVE, seed: int = 3
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("name", DESIGNS | MORE)
+@pytest.mark.parametrize("name", [*DESIGNS, *slow_but(MORE)])
 def test_derivatives_by_designs_and_positions(name: str, order: int) -> None:
     """And the same values as the problem with numbers in the place of its variables."""
     problem = (DESIGNS | MORE)[name](order)

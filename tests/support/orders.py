@@ -10,13 +10,6 @@ import pytest
 ORDERS = (1, pytest.param(2, marks=pytest.mark.slow))
 
 
-QUICK = ("6.3, order 2", "two obstacles at a node, order 2")
-"""Problems of order 2 that quick tests have; with all others they are slow."""
-
-
-def slow_but(names: Iterable[str], quick: tuple[str, ...] = QUICK) -> list[Any]:
-    """Names as parameters, those of order 2 that are not among the ``quick`` ones slow."""
-    return [
-        pytest.param(name, marks=() if name in quick or "order 2" not in name else pytest.mark.slow)
-        for name in names
-    ]
+def slow_but(names: Iterable[str], *quick: str) -> list[Any]:
+    """Names as parameters, those that are not among the ``quick`` ones slow."""
+    return [pytest.param(name, marks=() if name in quick else pytest.mark.slow) for name in names]
