@@ -34,6 +34,7 @@ from rmesh_nlp.problem import (
     Shape,
     Traction,
 )
+from support.orders import slow_but
 from support.problem_files import DESIGN, FILES, PLATE, SCALAR, VALID
 
 if sys.version_info >= (3, 11):
@@ -322,7 +323,7 @@ def test_names_of_the_design_stand_in_expressions(write):
     np.testing.assert_array_equal(at.reference, problem.mesh.p[:, problem.triangles])
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", slow_but(FILES, "membrane", "design"))
 def test_a_pickled_problem_of_a_file_has_the_same_solution(write, name):
     """CasADi pickles expressions of design variables in a context of its own only."""
     problem = load_problem(write(FILES[name]))

@@ -18,6 +18,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
+from support.orders import slow_but
 from support.problems import sloped_block
 from support.taylor import difference_order, taylor_order
 
@@ -69,7 +70,7 @@ def test_contact_solve_has_the_gap_of_both_nodes(outer: Outer) -> None:
     np.testing.assert_allclose(residual, 0, atol=1e-9 * system.force_scale)
 
 
-@pytest.mark.parametrize("objective", ["energy", "compliance"])
+@pytest.mark.parametrize("objective", ["energy", *slow_but(["compliance"])])
 def test_derivatives(outer: Outer, objective: str) -> None:
     energy, (q, d) = outer.energy, at_random(outer)
     function = energy if objective == "energy" else ReducedObjective(energy, parse_objective(objective))

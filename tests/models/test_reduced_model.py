@@ -149,7 +149,9 @@ def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
             np.testing.assert_allclose(found, known, atol=1e-9 * np.max(np.abs(known)))
 
 
-@pytest.mark.parametrize("name", ["6.1", "sloped, stick and slip", "two obstacles at a node"])
+@pytest.mark.parametrize(
+    "name", slow_but(["6.1", "sloped, stick and slip", "two obstacles at a node"], "sloped, stick and slip")
+)
 def test_factors_of_the_contact_solve_serve_other_objectives(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ from rmesh_nlp.fem.fields import Fields
 from rmesh_nlp.fem.stress import strain_energies, stresses
 from rmesh_nlp.meshes.shapes import _drawn
 from rmesh_nlp.problem import Law, Place
+from support.orders import ORDERS
 
 YOUNG, POISSON, PRESSURE = 1000.0, 0.3, 10.0
 LAW = rm.Axisymmetric.from_young(YOUNG, POISSON)
@@ -129,7 +130,7 @@ def test_certificate_of_a_body_on_its_axis_is_refused_in_words() -> None:
     assert "meets its axis" in told
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("kind", ["elastic", "rubbing", "membrane"])
 def test_bounds_of_a_ring_hold_on_finer_meshes(kind: str, order: int) -> None:
     held = rm.Dirichlet("top", (lambda x, y: 0.02 * (x - 1.2), -0.02))

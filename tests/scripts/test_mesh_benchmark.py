@@ -17,6 +17,7 @@ from best_mesh import cases, methods, tables
 from best_mesh.methods import ADAPTIVE, ATTAINABLE, LOOP, METRIC, RELOCATED, REMESHED, UNIFORM, measure
 from rmesh_nlp.contact.solver import ContactSolver
 from rows import Row, Store
+from support.orders import ORDERS
 
 
 def falling(
@@ -53,7 +54,7 @@ def test_times_are_compared_at_equal_error() -> None:
     assert first == ["6.3", LOOP, 400, 800.0, "0.25"]
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     "name", ["6.1", "L-shape", "free boundary", "Signorini", "jNO's L-shape, held", "wedge"]
 )

@@ -162,6 +162,7 @@ class TestRemeshed:
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
         assert solution.assessment.gain_audited > 0
 
+    @pytest.mark.slow
     def test_gain_and_audit_are_those_of_all_rounds(self, given: ContactProblem, monkeypatch) -> None:
         """From the mesh as given to one that suits the solution, whose energy is lower."""
         first = Outer.of(given)

@@ -1,4 +1,4 @@
-"""Orders of displacements, as parameters of tests that are not quick at order 2."""
+"""Orders of displacements and other parameters of tests that are quick with some of them alone."""
 
 from __future__ import annotations
 
