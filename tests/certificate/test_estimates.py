@@ -133,6 +133,22 @@ def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> N
 
 
 @pytest.mark.slow
+def test_estimate_by_richer_displacements_counts_what_cancels() -> None:
+    problem = rm.ContactProblem(
+        mesh=rm.shapes.rectangle(4, 4, x=(1.181, 2.901), y=(0.0, 0.713)),
+        law=rm.Axisymmetric.from_young(40.86, 0.1886, (0.0, -0.2223)),
+        dirichlet=rm.Dirichlet("top", (0.0, -0.02065)),
+        obstacle=rm.Obstacle.circle("bottom", (2.3705, -6.0965), 6.0965, friction=0.1089),
+        order=2,
+    )
+    (coarse,) = estimated(problem, "resultant(bottom)")
+    finer = rm.solve(refined(refined(problem)), "fixed", audit=False).contact["bottom"]["normal_force"]
+    assert abs(coarse.value - coarse.computed) < 2e-4 * finer  # by chance
+    assert abs(coarse.computed - finer) > 4e-3 * finer
+    assert coarse.error > abs(coarse.computed - finer)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["fixed", "joint"])
 def test_solution_has_estimates_of_what_it_prints(formulation: str) -> None:
     solution = rm.solve(BODY, formulation, limits={"iterations": 20})
