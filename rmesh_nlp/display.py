@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
 from html import escape
 from numbers import Real
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 
-Spans = Mapping[str, Sequence[Sequence[float]]]
+Spans = dict[str, list[list[float]]]
 """Intervals of x or y."""
 
 

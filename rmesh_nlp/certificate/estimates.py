@@ -158,11 +158,13 @@ class OnMesh:
 
     @property
     def ends(self) -> Array:
-        """(2, n) places where contact ends: nodes that touch, of triangles with nodes that do not."""
+        """(2, n) places where contact ends, between nodes that touch and others of a triangle."""
         space, kind = self.space, np.zeros(self.space.n_nodes)
         kind[space.contact_nodes] = 1 + self.state.active.touching
-        of = kind[space.elements]
-        return space.points(self.nodes)[:, space.elements[(of == 2) & np.any(of == 1, axis=0)]]
+        sides = [kind[space.elements] == k for k in (1, 2)]
+        both = np.all(np.any(sides, axis=1), axis=0)
+        points = space.points(self.nodes)[:, space.elements[:, both]]
+        return np.mean([np.mean(points, axis=1, where=side[:, both]) for side in sides], axis=0)
 
     def dual(self, gap: Array, push: Array) -> Array:
         """The displacement under a load, both as :attr:`u`, and offsets (gaps,)."""

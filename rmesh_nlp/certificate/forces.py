@@ -81,7 +81,7 @@ def within(exact: Admissible, lower: float, contact: ContactSet, force: float) -
     """
     most = (exact.energy + exact.doubt - lower) / max(BEYOND * force, 1e-300)
     cells = [each for each in exact.continuous.cells if each.contact.number == contact.number]
-    points = np.concatenate([each.points for each in cells], axis=1)
+    points = np.hstack([each.points for each in cells])
     axis = int(np.argmax(np.ptp(points, axis=(1, 2))))
     is_near = np.concatenate([each.near(exact.displacement, most) for each in cells])
     if np.all(is_near):

@@ -190,7 +190,7 @@ def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
         at = [mesh[size] for mesh in meshes]
         for position, text in enumerate(meshes[-1]["quantities"], 1):
             rows, pen = pd.DataFrame([mesh["quantities"][text] for mesh in meshes]), pen_of(position)
-            parts = rows.astype(float).div(rows["value"].abs(), axis=0)
+            parts = rows.filter(["error", "lower", "upper"]).astype(float).div(rows["value"].abs(), axis=0)
             axis.loglog(at, parts["error"], **pen, label=text)
             if "lower" in parts:
                 width = (parts["upper"] - parts["lower"]) / 2

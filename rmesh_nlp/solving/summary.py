@@ -110,7 +110,7 @@ def estimate_in_words(of: ByName) -> str:
     computed = figure(of["computed"])
     said += f" (computed {computed})" if computed != figure(of["value"]) else ""
     if of.get("guaranteed"):
-        said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}" + within_in_words(of["within"])
+        said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}{within_in_words(of['within'])}"
     return said
 
 

@@ -185,7 +185,7 @@ def test_bounds_that_are_not_guaranteed_do_not_count(body: rm.ContactProblem) ->
 
 
 @pytest.mark.slow
-def test_edges_on_which_contact_ends_are_halved_once_more() -> None:
+def test_triangles_where_contact_ends_are_bisected_once_more() -> None:
     """Else no node of the next mesh shows that contact goes on, and the value errs by a third of a per cent.
 
     8.29152 is the value on three meshes of order 2 with 729 to 968 vertices.
