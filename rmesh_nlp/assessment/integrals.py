@@ -35,11 +35,9 @@ of degrees 2 k - 2 and 2 l - 2 on a triangle. (6, 10) for all takes twice as lon
 agrees to 3e-10. Of 60 bumps a fiftieth of an edge wide it misses one, these two, and (3, 5) in the first
 place nine."""
 
-DEPTH = 9
-"""Last stage: times that a cell may be halved in each direction, and one."""
-
-DEEPEST = 40
-"""The same where a coefficient is not resolved, although the rules agree, on ``CHUNK`` cells at most."""
+DEPTH, DEEPEST = 9, 40
+"""Last stage: times that a cell may be halved in each direction, and one. The second one is that of up to
+``CHUNK`` cells where rules differ, and of as many where a coefficient is not resolved although they agree."""
 
 
 VANISHING = 1e-6
@@ -135,7 +133,8 @@ def _integral(
             scale = np.sum(np.abs(fine), axis=1, keepdims=True)
             scale = np.maximum(scale, VANISHING * np.max(scale))
         wrong = np.broadcast_to(wrong, fine.shape)
-        split = np.any(wrong > ROUNDING * scale, axis=0) & (depth < DEPTH)
+        split = np.any(wrong > ROUNDING * scale, axis=0)
+        split &= depth < DEPTH or (np.count_nonzero(split) <= CHUNK and depth < DEEPEST)
         place, part = vertices[:, owner, :1], 1.0
         for i, along in enumerate(low[..., None] + width[:, None] * corners.reshape(directions, 1, -1)):
             part = part * along

@@ -32,7 +32,8 @@ def factorised(K: sp.csc_array) -> Solve:
     """Sparse factorisation of a symmetric positive definite matrix."""
     if 4 * K.nnz >= K.shape[0] ** 2 > 0:  # as where all but few unknowns are eliminated
         try:
-            return partial(cho_solve, cho_factor(K.toarray()))
+            # numbers that are none pass, as they do through sparse factors
+            return partial(cho_solve, cho_factor(K.toarray(), check_finite=False), check_finite=False)
         except LinAlgError:
             pass
     elif HAS_CHOLMOD and K.shape[0] > 0:

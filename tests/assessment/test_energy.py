@@ -192,7 +192,9 @@ def test_what_is_certain_has_no_hidden_parts(hidden: PositionFunction) -> None:
     for total in (along, inside):
         error = abs(total.value.sum() - exact)
         assert not total.is_certain or error <= total.doubt.sum() + 1e-8 * abs(exact)
-    assert abs(along.value.sum() - exact) < 1e-3 * abs(exact)
+    assert abs(along.value.sum() - exact) < (1e-3 if hidden is HIDDEN[-1] else 1e-6) * abs(
+        exact
+    )  # the root of 1e-9
 
 
 @pytest.mark.parametrize("switch", [lambda x: (x - 1.3) ** 2 - 1e-14, lambda x: (x - 1.2995) ** 3])

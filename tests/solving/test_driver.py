@@ -6,6 +6,7 @@ import signal
 from contextlib import suppress
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -13,9 +14,10 @@ from formulations.multistart import MultiStart
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, Traction
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
@@ -51,6 +53,19 @@ def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactPro
     assert np.all(np.diff([step.contact_solves for step in seen]) >= 0)
     assert solution.trace.work.contact_solves >= solution.trace.iterations
     assert min(solution.trace.build_time_s, solution.trace.solve_time_s, solution.trace.audit_time_s) > 0
+
+
+def test_derivatives_that_are_no_numbers_end_in_a_row_that_says_so() -> None:
+    """The derivative of 1 / (1 + exp(-k x)) is inf / inf where the power overflows."""
+    problem = ContactProblem(
+        rectangle(4, 2, x=(0, 2)),
+        Laplace(-1.0),
+        ("bottom",),
+        Obstacle("right", (1.0,), 0.5),
+        tractions=(Traction("top", (lambda x, y: -6 / (1 + ca.exp(-1e9 * (x - 1.7123))),)),),
+    )
+    solution = solve(problem, "joint")
+    assert (solution.status, solution.success) == (Status.EVALUATION_ERROR, False)
 
 
 @pytest.mark.parametrize(
