@@ -108,13 +108,9 @@ class Adaptive(Wrapper):
         """Whether ``inner`` does."""
         return bool(self.inner.relocates)
 
-    def asked(self, problem: ContactProblem) -> tuple[str, ...]:
-        """The quantities that the accuracy is for."""
-        return self.quantities or unknown(problem)
-
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)
-        for text in self.asked(problem):
+        for text in self.quantities or unknown(problem):
             check(text, problem)
 
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
@@ -123,7 +119,8 @@ class Adaptive(Wrapper):
         return replace(choice, problem=problem if self.own_order else replace(problem, order=2))
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        wanted, meshes, sequence = self.asked(outer.problem), list[Any](), list[list[Estimate]]()
+        wanted, meshes = self.quantities or unknown(outer.problem), list[Any]()
+        sequence = list[list[Estimate]]()
         told = of_contact(outer.problem, "resultant", "peak", "contact_length")
         every = tuple(dict.fromkeys(wanted + (ENERGY,) * self.guaranteed + told))
         # the square of the energy norm is twice an energy; of its bounds all of the width counts
@@ -140,7 +137,8 @@ class Adaptive(Wrapper):
                 monitor.work += Work(1, 1, on.state.iterations)
                 sequence.append(estimates(on, every))
                 ends = dict(zip(every, map(ended, zip(*sequence, strict=True)), strict=True))
-                figures = {text: end.record() for text, end in ends.items()}
+                peaks = {f"peak({name})" for name in unlimited_peaks(on.space, on.nodes, on.state)}
+                figures = {text: end.record(text not in peaks) for text, end in ends.items()}
                 solved = Outcome(outer, np.zeros(outer.n), Status.STALLED, label="")
                 likely = [ends[text] for text in wanted]
                 allowed = np.maximum(parts * np.abs([end.value for end in likely]), 1e-300)
@@ -158,12 +156,12 @@ class Adaptive(Wrapper):
                 worst, seconds = np.max(excess), budget.elapsed
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
                 reached = solved.having({"estimates": figures, "meshes": meshes})
-                each = (f"{text} {estimate_in_words(figures[text])}" for text in wanted)
-                said = ", ".join([f"{nodes} nodes", *each])
+                said = ", ".join(
+                    [f"{nodes} nodes", *(f"{text} {estimate_in_words(figures[text])}" for text in wanted)]
+                )
                 monitor.note(Step(number, on.state.energy, 0.0, 0.0, np.nan, number + 1, seconds, said=said))
                 if worst <= 1:
-                    peaks = {f"peak({name})" for name in unlimited_peaks(on.space, on.nodes, on.state)}
-                    if grow := [text for text in wanted if text in peaks or not ends[text].converges]:
+                    if grow := [text for text in wanted if not figures[text]["converges"]]:
                         raise NotCertifiableError(f"{grow[0]} may have no limit on finer meshes")
                     reached = replace(reached, status=Status.CONVERGED)
                     return
@@ -176,8 +174,9 @@ class Adaptive(Wrapper):
                     share = np.cumsum(adds[order])
                     most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
                     finer = locally_refined(outer.problem, most)
-                    if told:  # contact ends along an edge
-                        near = cKDTree(finer.mesh.p.T).query(on.ends.T)[1]
+                    if told and not self.guaranteed:  # contact ends along an edge, peaks are anywhere
+                        places = on.ends(any(one.touching for one in likely))
+                        near = cKDTree(finer.mesh.p.T).query(places.T)[1]
                         finer = locally_refined(finer, np.nonzero(np.isin(finer.mesh.t, near))[1])
                     narrowing = nodes * worst if self.guaranteed and number > 1 else 0  # about like 1 / nodes
                     if max(narrowing, finer.mesh.p.shape[1]) > LARGEST:

@@ -162,15 +162,16 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     degree, edge = conditions.degree, skeleton.lengths[conditions.contact]
     along = skeleton.along(degree)[:, conditions.contact]
     inside = guess.pressure[skeleton.inside(degree)[:, conditions.inside.elements]].T.ravel()
-    pressing = np.append(inside, (guess.pressure[along] * edge).ravel())
+    pressure, friction = (values[along] * edge for values in (guess.pressure, guess.friction))
+    # at order 2 contact of the traces ends before the edges on which that of the nodes does
+    pressure[np.isin(along, along[:, (np.min(pressure, axis=0) <= 0) & (degree > 1)])] = 0.0
+    pressing = np.append(inside, pressure)
     touching, bound = pressing > 0, system.bound((1 - ROUNDING) * pressing)
-    friction = np.append(0 * inside, guess.friction[along] * edge)
-    sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
-    # contact of the traces ends before the edges on which that of the nodes does, and all of an edge slides
-    ending, each = np.any(guess.pressure[along] <= 0, axis=0), sliding[inside.size :].reshape(along.shape)
-    touching[inside.size :] &= ~np.isin(along, along[:, ending]).ravel()
-    each += (each == 0) * np.sign(np.sum(each, axis=0, dtype=np.int8))
-    solved = solve(system, ActiveSet(touching, sliding))
+    # all of an edge slides
+    slides = np.any(np.abs(friction) >= bound[inside.size :].reshape(friction.shape), axis=0)
+    sliding = np.append(0 * inside, 0 * friction - slides * np.sign(np.sum(friction, axis=0)))
+    friction = np.append(0 * inside, friction)
+    solved = solve(system, ActiveSet(touching, sliding.astype(np.int8)))
     if solved.status is not Status.CONVERGED:
         solved = solve(system)
     force, friction = np.maximum(solved.normal_force, 0.0), solved.tangential_force

@@ -73,6 +73,9 @@ RESULTS = {
 LEFT = 4 / 3
 """Error over the difference to the mesh refined once, if that leaves a quarter, as where it goes like h^2."""
 
+MORE = 1.7
+"""Times as many nodes in contact on a mesh that says something of a peak beside a coarser one."""
+
 STEADY = 0.9
 """Ratio of successive changes above which a sequence is not said to converge."""
 
@@ -82,7 +85,8 @@ class Estimate(NamedTuple):
 
     The value is a corrected one where there is a correction, the error, of the computed value, NaN where it
     takes another mesh. ``local`` (elements,) is what each element adds to it, up to a common factor. ``half``
-    is about half the width of guaranteed bounds, NaN where none are known.
+    is about half the width of guaranteed bounds, NaN where none are known. ``touching`` is the number of
+    nodes in contact, where the values arise that have no formula.
     """
 
     value: float
@@ -91,24 +95,30 @@ class Estimate(NamedTuple):
     local: Array
     converges: bool = True
     half: float = np.nan
+    touching: int = 0
 
-    def record(self) -> Values:
-        """What is told of it."""
-        return {name: getattr(self, name) for name in ("value", "error", "computed", "converges")}
+    def record(self, is_limited: bool = True) -> Values:
+        """What is told of it; no error where it does not converge, or perhaps has no limit."""
+        error, converges = (self.error, True) if is_limited and self.converges else (np.nan, False)
+        return {"value": self.value, "error": error, "computed": self.computed, "converges": converges}
 
 
 def ended(sequence: Sequence[Estimate]) -> Estimate:
     """What a sequence of ever finer meshes says of a quantity.
 
     An estimate that the next mesh refutes makes the change of the value the error. Where there is no estimate
-    the changes are extrapolated by their ratio; values do not converge where the changes stay as large.
+    the changes are extrapolated by their ratio; values do not converge where the changes stay as large. The
+    last one says something where about twice as many nodes touch as on the mesh before.
     """
     last, changes = sequence[-1], np.abs(np.diff([one.value for one in sequence]))
     if changes.size == 0:
         return last
+    before = sequence[-2]
     if np.isfinite(last.error):
-        is_refuted = changes[-1] > sequence[-2].error
-        return last._replace(error=max(last.error, changes[-1])) if is_refuted else last
+        refuted = changes[-1] * (changes[-1] > before.error)
+        return last._replace(error=max(last.error, refuted))
+    if MORE * before.touching > last.touching:
+        return last
     ratios = np.append(STEADY, changes[1:] / np.maximum(changes[:-1], 1e-300))
     ratio, converges = np.clip(ratios[-1], 0.5, STEADY), ratios.size < 3 or np.min(ratios[-2:]) < STEADY
     return last._replace(error=np.max(changes[-2:]) * ratio / (1 - ratio), converges=bool(converges))
@@ -156,11 +166,12 @@ class OnMesh:
         """(components, nodes and tools) coefficients of the displacement."""
         return self.displacement.values(self.state.u)
 
-    @property
-    def ends(self) -> Array:
-        """(2, n) places where contact ends, between nodes that touch and others of a triangle."""
+    def ends(self, everywhere: bool = False) -> Array:
+        """(2, n) places where contact ends, between nodes that touch and others; or all nodes that touch."""
         space, kind = self.space, np.zeros(self.space.n_nodes)
         kind[space.contact_nodes] = 1 + self.state.active.touching
+        if everywhere:
+            return space.points(self.nodes)[:, kind == 2]
         sides = [kind[space.elements] == k for k in (1, 2)]
         both = np.all(np.any(sides, axis=1), axis=0)
         points = space.points(self.nodes)[:, space.elements[:, both]]
@@ -294,6 +305,8 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         raise NotCertifiableError(
             "the body has curves, or r times a stress of a displacement is no polynomial"
         )
+    if any(np.any(part.partner == np.arange(on.space.n_nodes)) for part in on.space.contact_sets):
+        raise NotCertifiableError("no displacement opens a crack at its end")
     skeleton = on.skeleton
     stresses = contact_stresses(on.space, on.nodes, state.normal_force, state.tangential_force)
     field = equilibrated(problem, skeleton, Guess(on.u, *stresses))
@@ -311,7 +324,8 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         if load is None and part is None:
             lacking = gained if text == ENERGY else np.nan
             above = np.nan_to_num(lacking) if problem.has_energy else 0.0  # then no energy is least
-            return Estimate(computed - above, lacking, computed, defect**2, half=lacking / 2)
+            count = int(np.sum(on.state.active.touching)) * (text != ENERGY)
+            return Estimate(computed - above, lacking, computed, defect**2, half=lacking / 2, touching=count)
         push, gap = np.zeros(system.load.size), np.zeros(system.offset.size)
         if load is not None:
             edges, tools = load
@@ -320,8 +334,6 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             nodes, raised, along = on.space.nodes_of(contact_edges(problem, part.obstacle)), 0 * w, w.copy()
             raised[:, nodes] = np.multiply.outer(part.obstacle.normal, weights[nodes])[: len(w)]
             given = np.setdiff1d(nodes, part.nodes)
-            if np.any(weights[part.partner == np.arange(weights.size)]):
-                raise NotCertifiableError("no displacement opens a crack at its end")
             along[:, given], gap = raised[:, given], -gaps(raised)
         traces = np.zeros(free.size)
         traces[free] = system.response(solved.active, push, gap)
@@ -366,7 +378,7 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 
     def estimate(text: str) -> Estimate:
         coarse, fine = _quantity(text, on), _quantity(text, finer)
-        products = defect * norms(fine.dual, coarse.dual)
+        products = defect * (defect if coarse.dual is on.u else norms(fine.dual, coarse.dual))
         local = np.reshape(products, (-1, problem.mesh.nelements)).sum(axis=0)
         error = times * abs(fine.value - coarse.value)
         if coarse.load is not None or coarse.part is not None:  # what cancels here need not on finer meshes

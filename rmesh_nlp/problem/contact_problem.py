@@ -293,8 +293,7 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     middle = np.where(is_first, *near)
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}
-    triangles = counter_clockwise(new.p, new.t)
-    mesh = named(MeshTri(new.p, triangles), boundaries, new.subdomains)  # the problem checks it
+    mesh = named(MeshTri(new.p, counter_clockwise(new.p, new.t)), boundaries, new.subdomains)
     return on_mesh(problem, mesh, problem.motion)
 
 

@@ -191,7 +191,7 @@ def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
         for position, text in enumerate(meshes[-1]["quantities"], 1):
             rows, pen = pd.DataFrame([mesh["quantities"][text] for mesh in meshes]), pen_of(position)
             parts = rows.filter(["error", "lower", "upper"]).astype(float).div(rows["value"].abs(), axis=0)
-            axis.loglog(at, parts["error"], **pen, label=text)
+            axis.loglog(at, parts["error"], **pen, label=text if parts["error"].any() else "")
             if "lower" in parts:
                 width = (parts["upper"] - parts["lower"]) / 2
                 axis.vlines(at, parts["error"], width, color=pen["color"], alpha=0.5)

@@ -105,8 +105,8 @@ QUANTITIES = {"normal_force": "resultant", "peak_pressure": "peak"}
 def estimate_in_words(of: ByName) -> str:
     """An entry of ``estimates`` in words."""
     if not of["converges"]:
-        return f"does not converge: it changes with each refinement, {figure(of['value'])} on the last mesh"
-    said = f"{of['value']:.6g} +- {of['error']:.2g} estimated".replace(" +- nan estimated", "")
+        return f"does not converge, or may have no limit: {figure(of['value'])} on the last mesh"
+    said = f"{of['value']:.6g} +- {of['error']:.2g} estimated".replace(" +- nan", ", no error")
     computed = figure(of["computed"])
     said += f" (computed {computed})" if computed != figure(of["value"]) else ""
     if of.get("guaranteed"):

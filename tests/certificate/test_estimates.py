@@ -183,6 +183,13 @@ def test_growing_peak_does_not_converge() -> None:
     assert not ended(peaks).converges
     assert ended(settles).converges
     assert ended(settles).error > abs(settles[-1].value - 1)
+    assert np.isnan(ended(peaks).record()["error"])
+
+
+def test_values_on_meshes_that_are_as_coarse_in_contact_have_no_error() -> None:
+    values = [Estimate(1 + 0.01 * k, np.nan, 1, np.ones(1), touching=5 + k) for k in range(3)]
+    assert np.isnan(ended(values).error)
+    assert ended([*values, Estimate(1.3, np.nan, 1, np.ones(1), touching=14)]).error > 0.3
 
 
 @pytest.mark.parametrize("text", ["peak(top)", "tool_y(bottom)", "pressure(bottom, z)", "mean(top, ux*uy)"])

@@ -53,6 +53,18 @@ def test_force_is_as_accurate_as_asked(body: rm.ContactProblem) -> None:
     assert nodes == sorted(set(nodes))
     assert solution.mesh.p.shape[1] == nodes[-1]
     assert set(body.mesh.boundaries) == set(solution.mesh.boundaries)
+    # the peak, near the end of contact, is 94.48: no number is given that is smaller than its error
+    peak = solution.details["estimates"]["peak(bottom)"]
+    assert abs(peak["value"] - 94.48) > 1
+    assert not peak["error"] < 1
+
+
+@pytest.mark.slow
+def test_peak_is_refined_where_it_is(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=0.01, quantities="peak(bottom)")
+    peak = solution.details["estimates"]["peak(bottom)"]
+    assert solution.success
+    assert abs(peak["value"] - 94.48) < peak["error"]
 
 
 @pytest.mark.slow
