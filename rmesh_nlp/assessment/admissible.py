@@ -7,7 +7,7 @@ curves, its energy is never below the least one. By Theorem 4.1 it falls if and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,7 +25,7 @@ from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, magnitude, numbers_of, summed
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import Coefficient, at, on_points
 from rmesh_nlp.problem.contact_problem import locally_refined
@@ -63,9 +63,8 @@ class Admissible:
     @property
     def status(self) -> Status:
         """CONVERGED if it is admissible and in equilibrium."""
-        if self.state.status is not Status.CONVERGED:
-            return self.state.status
-        return Status.INACCURATE if self.penetration > 0 else Status.CONVERGED
+        own = self.state.status
+        return Status.INACCURATE if self.penetration > 0 and own is Status.CONVERGED else own
 
 
 class Continuous:
@@ -90,15 +89,12 @@ class Continuous:
     def _bare(self) -> ContactSystem:
         """The quadratic program without stand-offs."""
         nodes, space, index = self.body.nodes, self.space, self.field.index
-        free, given, points = np.flatnonzero(index.T.ravel() >= 0), self.given.T.ravel(), space.points(nodes)
+        free, given = np.flatnonzero(index.T.ravel() >= 0), self.given.T.ravel()
         pull = self.stiffness @ given
         normals, tangents, along = contact_rows(self.parts, nodes)
-        gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
-        offset = np.concatenate([np.zeros(0), *gaps])
-        for cells in self.cells:  # at edges coefficients, on the arc if there is one
-            rows, at_nodes = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
-            offset[rows[rows >= 0]] = at_nodes[rows >= 0]
-        bounds = np.zeros(along.size)
+        offset, bounds = np.zeros((2, along.size))
+        for cells in self.cells:  # coefficients, on the arc if there is one
+            offset[cells.rows[cells.rows >= 0]] = cells.at_nodes[cells.rows >= 0]
         for part, edges in self._rubbing:
             friction = np.zeros(space.n_nodes)
             shares = shape_integrals(edges, part.obstacle.friction_law.given, space.order).value
@@ -135,8 +131,8 @@ class Continuous:
     def is_open(self) -> bool:
         """Whether foundations are below the body wherever given displacements alone move it."""
         for cells in self.cells:
-            gaps = cells.along(self.given) + cells.distance
-            held = (cells.shares.T @ (cells.rows >= 0)).T == 0
+            gaps = cells.at_points(self.given)
+            held = (cells.rows >= 0).T @ cells.shares == 0
             if np.min(gaps[held], initial=0.0) < -PROVED * magnitude(gaps):
                 return False
         return True
@@ -180,8 +176,9 @@ class Continuous:
     def _lowest(self, program: ContactSystem, last: Index, state: Equilibrium) -> Array:
         """The unknowns ``last`` of least energy with gaps and friction at the points of cells.
 
-        ``state`` is the solution with both at nodes. Cells matter where it presses or is not admissible.
-        What a gap falls by between points depends on the displacement a little.
+        ``state`` is the solution with both at nodes. Cells matter where it presses or is not admissible; at
+        order 1 a quarter of the points in triangles gives an energy as low to a hundredth of its error. What
+        a gap falls by between points depends on the displacement a little.
         """
 
         def displacement(x: Array) -> Array:
@@ -189,25 +186,27 @@ class Continuous:
             u[last] = x
             return self.field.values(u)
 
-        at_nodes = displacement(state.u)
+        pressing = np.append(state.normal_force > 0, False)  # the last is that of given ones
         near = [
-            cells.only(cells.pressed(state.normal_force) | (cells.missing(at_nodes) > 0))
+            cells.only(np.any(pressing[cells.rows], axis=0) | (cells.missing(displacement(state.u)) > 0))
             for cells in self.cells
         ]
-        N = sp.vstack([self._rows(cells, cells.normals)[:, last] for cells in near], "csr")
+        N = sp.vstack([self._rows(cells, cells.normals) for cells in near], "csr")[:, last]
         acts = np.diff(N.indptr) > 0
         rubbing = [cells for cells in self.cells if cells.contact.obstacle.friction_law.has_given]
-        T = sp.vstack([N[:0], *(self._rows(cells, cells.tangents)[:, last] for cells in rubbing)], "csr")
+        tangents = (np.stack([cells.normals[1], -cells.normals[0]]) for cells in rubbing)
+        T = sp.vstack([self._bare.normals[:0], *map(self._rows, rubbing, tangents)], "csr")[:, last]
         bound = np.zeros(0)
         for each in rubbing:
             own = on_points(each.contact.obstacle.friction_law.given, each.points)
             bound = np.append(bound, own * each.measures(self.problem))
         rubs = (np.diff(T.indptr) > 0) & (bound > 0)
 
+        at_rest = np.concatenate([each.at_points(self.given).ravel() for each in near])
+
         def offset(x: Array) -> Array:
             u = displacement(x)
-            gaps = (each.distance + each.along(self.given) - each.dips(u) for each in near)
-            return np.concatenate([*map(np.ravel, gaps)])[acts]
+            return (at_rest - np.concatenate([each.dips(u).ravel() for each in near]))[acts]
 
         rows = N[acts], T[rubs], bound[rubs]
         return BarrierProgram(program.stiffness, program.load, *rows, offset).minimised(state.u)
@@ -233,7 +232,7 @@ class Continuous:
 
     def _made(self, system: ContactSystem, state: Equilibrium) -> Admissible:
         """The displacement, its nodes raised by what it lacks to be admissible, and its energy."""
-        u, own = state.u, self._raising
+        u = state.u
         rounding = 8 * np.finfo(float).eps * (magnitude(u) + magnitude(self._bare.offset))
         for _ in range(REPEATS):
             displacement = self.field.values(u)
@@ -243,7 +242,7 @@ class Continuous:
                 penetration = 0.0
                 break
             step = np.where(missing > 0, 1.1 * missing + rounding, 0.0)
-            u = u + own.T @ (step / own.power(2).sum(axis=1))
+            u = u + self._raising @ step
         state, full = replace(state, u=u, energy=system.energy(u)), displacement.T.ravel()
         strain, work = 0.5 * float(full @ (self.stiffness @ full)), float(self.load @ full)
         friction, doubt = self.friction(displacement)
@@ -253,14 +252,13 @@ class Continuous:
         energies = strain - work + friction, strain, friction, doubt
         return Admissible(self, system, state, displacement, *energies, penetration)
 
-    @property
+    @cached_property
     def _raising(self) -> sp.csr_array:
-        """Rows of the normals without the displacements of tools, which have no others."""
+        """(unknowns, gaps) what raises gaps by one each, without tools where anything else does."""
         normals, of_tools = self._bare.normals, self.field.index[:, self.space.n_nodes :]
-        kept = ~np.isin(np.arange(normals.shape[1]), of_tools)
-        own = normals @ sp.diags_array(kept.astype(float))
-        alone = own.power(2).sum(axis=1) == 0
-        return sp.csr_array(own + sp.diags_array(alone.astype(float)) @ normals) if of_tools.size else normals
+        own = normals * ~np.isin(np.arange(normals.shape[1]), of_tools)
+        own += normals * (own.power(2).sum(axis=1) == 0)[:, None]
+        return sp.csr_array(own.T / own.power(2).sum(axis=1))
 
     def friction(self, displacement: Array) -> tuple[float, float]:
         """The integral of friction bound times slip of a displacement (components, nodes), and its doubt."""
@@ -273,21 +271,14 @@ class Continuous:
 
     def first_standoff(self) -> Array:
         """(gaps,) how far nodes keep off by what is missing where their gaps are closed."""
-        own = self._raising
-        closing = own.T @ (-self._bare.offset / own.power(2).sum(axis=1))
-        return self._missing(self.field.values(closing))
+        return self._missing(self.field.values(-self._raising @ self._bare.offset))
 
     def _missing(self, displacement: Array) -> Array:
         """(gaps,) by how much each free node must keep off more for a displacement (components, nodes)."""
-        return self._raised([cells.missing(displacement) for cells in self.cells])
-
-    def _raised(self, off: Sequence[Array]) -> Array:
-        """(gaps,) the largest ``off`` (m,) of the cells at each free node."""
-        standoff = np.zeros(self.space.contact_nodes.size)
-        for cells, height in zip(self.cells, off, strict=True):
-            for rows in cells.rows:
-                np.maximum.at(standoff, rows[rows >= 0], height[rows >= 0])
-        return standoff
+        standoff = np.zeros(self.space.contact_nodes.size + 1)  # the last is that of given ones
+        for cells in self.cells:
+            np.maximum.at(standoff, cells.rows, np.tile(cells.missing(displacement), (len(cells.rows), 1)))
+        return standoff[:-1]
 
 
 def admissible(
@@ -300,9 +291,8 @@ def admissible(
     """
     for _ in range(REPEATS):
         continuous = Continuous(problem, nodes)
-        inside = [cells for cells in continuous.cells if cells.contact.obstacle.boundary is Place.INTERIOR]
-        cut = [cells.number[cells.unreachable(continuous.given)] for cells in inside]
-        elements = numbers_of(cut)
+        inside = [cells for cells in continuous.cells if cells.are_triangles]
+        elements = numbers_of(cells.number[cells.unreachable(continuous.given)] for cells in inside)
         if elements.size == 0:
             break
         moved = continuous.problem

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.assessment.integrals import Integral, over_edges, over_triangles
+from rmesh_nlp.assessment.integrals import RINGS, Integral, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -28,8 +28,8 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
     counts = ~held | (given != 0)  # u_r / r has no finite energy for functions that do not vanish at r = 0
     for law, region in problem.regions:
         curved = body.is_curved[region]
-        exact = None if law.varies else space.order
-        for elements, points in ((region[~curved], exact), (region[curved], None)):
+        exact = RINGS if law.varies else (space.order,)
+        for elements, points in ((region[~curved], exact), (region[curved], ())):
 
             def sums(which: Index, barycentric: Array, where: Array, weights: Array, law: Law = law) -> Array:
                 coordinates = gradients(body.at(which, barycentric)[1])
@@ -54,7 +54,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
                 dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
                 place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
                 matrix += sp.csc_array((local.value.ravel(), place), shape=(n, n))
-                if points is None:
+                if len(points) != 1:
                     doubt += sp.csc_array((local.doubt.ravel(), place), shape=(n, n))
     return matrix, doubt
 
@@ -87,7 +87,7 @@ def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index
     degree = polynomial_degree(coefficient)
     straight = not np.any(body.is_curved[elements])
     more = polynomial_degree(body.problem.measure)
-    points = None if degree is None or more is None or not straight else (degree + more + order + 3) // 2
+    points = () if degree is None or more is None or not straight else ((degree + more + order + 3) // 2,)
 
     def sums(_: Index, barycentric: Array, where: Array, weights: Array) -> Array:
         values = on_points(coefficient, where, "a load") * weights

@@ -35,6 +35,9 @@ of degrees 2 k - 2 and 2 l - 2 on a triangle. (6, 10) for all takes twice as lon
 agrees to 3e-10. Of 60 bumps a fiftieth of an edge wide it misses one, these two, and (3, 5) in the first
 place nine."""
 
+RINGS = (3, 4)
+"""The same for the strain energy of straight triangles where the law varies, as with one over the radius."""
+
 DEPTH, DEEPEST = 9, 40
 """Last stage: times that a cell may be halved in each direction, and one. The second one is that of up to
 ``CHUNK`` cells where rules differ, and of as many where a coefficient is not resolved although they agree."""
@@ -61,13 +64,13 @@ def over_triangles(
     body: Body,
     elements: Index,
     integrand: Integrand,
-    points: int | None = None,
+    points: tuple[int, ...] = (),
     coefficients: Iterable[Coefficient] = (),
 ) -> Integral:
     """Integrals (rows, elements) over triangles, part by part where ``coefficients`` jump or kink.
 
-    ``points`` is the number of Gauss points per direction that is known to suffice; by default two rules are
-    compared.
+    ``points`` is the number of Gauss points per direction that is known to suffice, or the two numbers of the
+    rules that are compared in the first place; ``RULES`` by default.
     """
     parts = triangle_parts(body, elements, coefficients)
 
@@ -115,20 +118,20 @@ def _integral(
     size: int,
     vertices: Array,
     coefficients: Iterable[Coefficient],
-    points: int | None = None,
+    points: tuple[int, ...] = (),
 ) -> Integral:
     """The sums over the cells of parts with vertices (2, parts, 2 or 3), by the ``size`` owners of these."""
     count, directions = vertices.shape[1], vertices.shape[2] - 1
     total, doubt = np.zeros((2, 1, count))
     owner, low, width = np.arange(count), np.zeros((directions, count)), np.ones(count)
     corners = np.stack(np.meshgrid(*([(0, 1)] * directions), indexing="ij")).reshape(directions, -1, 1)
-    sizes = {each: 0.0 for each in coefficients if callable(each) and points is None}
+    sizes = {each: 0.0 for each in coefficients if callable(each) and len(points) != 1}
     is_certain = parts.is_certain
     for depth in range(DEEPEST + 1 if count else 0):
-        lower, higher = HIGHER if depth == 1 else RULES
-        fine, wrong = _in_chunks(on_cells, owner, low, width, points or higher), np.zeros(1)
-        if points is None:
-            wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, lower))
+        *lower, higher = HIGHER if depth == 1 else points or RULES
+        fine, wrong = _in_chunks(on_cells, owner, low, width, higher), np.zeros(1)
+        for order in lower:
+            wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, order))
         if depth == 0:
             scale = np.sum(np.abs(fine), axis=1, keepdims=True)
             scale = np.maximum(scale, VANISHING * np.max(scale))

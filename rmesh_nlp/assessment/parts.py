@@ -129,17 +129,18 @@ def _zeros_along(
         width = np.tile(width[is_open] / 2, 2)
         rows, low = np.tile(rows[is_open], 2), np.tile(low[is_open], 2)
         low[rows.size // 2 :] += width[rows.size // 2 :]
-    zeros = _bisected(lambda s: value(at, s[:, None])[:, 0], begin, end) if at.size else begin
+    zeros = _bisected(partial(value, at), begin, end) if at.size else begin
     return at, zeros, is_certain and rows.size == 0
 
 
 def _bisected(value: Callable[[Array], Array], begin: Array, end: Array) -> Array:
-    """(m,) where values (m,) change their sign between two places each."""
-    first = np.sign(value(begin))
+    """(m,) where values (m, k) at places (m, k) first change their sign between two places each."""
+    first, every = np.sign(value(begin[:, None])), np.arange(begin.size)
     while np.any(end - begin > np.finfo(float).eps):
-        middle = (begin + end) / 2
-        is_low = value(middle) * first > 0
-        begin, end = np.where(is_low, middle, begin), np.where(is_low, end, middle)
+        places = begin[:, None] + np.outer(end - begin, np.arange(9) / 8)
+        is_low = np.pad(value(places[:, 1:-1]) * first > 0, ((0, 0), (0, 1)))
+        before = np.argmin(is_low, axis=1)
+        begin, end = places[every, before], places[every, before + 1]
     return (begin + end) / 2
 
 
@@ -216,11 +217,9 @@ def _cut(
     begin, ends, first = np.tile(p, 2), np.hstack([q, r]), np.tile(at_p, 2)
     share = first / (first - np.concatenate(at_others))
     if at is not None:
-        cut, inside = np.tile(owner[chosen], 2), PROVED * (np.tile(part.mean(axis=1), 2) - begin)
+        cut, inside = np.tile(owner[chosen], 2), begin + PROVED * (np.tile(part.mean(axis=1), 2) - begin)
         share = _bisected(
-            lambda s: at(cut, (begin + inside + s * (ends - begin))[..., None])[:, 0],
-            0 * share,
-            0 * share + 1,
+            lambda s: at(cut, inside[..., None] + s * (ends - begin)[..., None]), 0 * share, 0 * share + 1
         )
     on_q, on_r = np.hsplit(begin + share * (ends - begin), 2)
     three = [np.stack(corner, axis=1) for corner in ((p, on_q, on_r), (on_q, q, r), (on_q, r, on_r))]

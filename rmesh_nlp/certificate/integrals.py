@@ -51,7 +51,7 @@ def integrals(
     if vertices == 2:
         sums, measure = over_edges(Edges(skeleton.body, cells), along, (coefficient,)), skeleton.lengths
     else:
-        sums, measure = over_triangles(skeleton.body, cells, tested, None, (coefficient,)), skeleton.areas
+        sums, measure = over_triangles(skeleton.body, cells, tested, (), (coefficient,)), skeleton.areas
     means, doubt = sums.value / measure[cells], sums.doubt / measure[cells]
     return Integrals(means[:-1], means[-1], doubt[:-1], sums.is_certain)
 

@@ -82,25 +82,28 @@ class BarrierProgram:
 
     def minimised(self, u: Array) -> Array:
         """The unknowns of least energy, up to ``PROVED`` of it, from u on."""
-        if not self._rows.shape[0]:
+        if not self.unit.size:
             return u
-        best, least, small = u, np.inf, PROVED * float(u @ (self.stiffness @ u))
-        for x, y, z in islice(self.steps(u, np.zeros(self.normals.shape[0])), STEPS):
+        strain, normal = float(u @ (self.stiffness @ u)), np.zeros(self.normals.shape[0])
+        best, least, small = u, np.inf, PROVED * strain
+        for x, y, z in islice(self.steps(u, normal, strain / (10 * self.unit.size)), STEPS):
             if y @ z < least:
                 best, least = x, float(y @ z)
             if least <= small:
                 break
         return best
 
-    def steps(self, u: Array, normal: Array) -> Iterator[tuple[Array, ...]]:
+    def steps(self, u: Array, normal: Array, energy: float = 0.0) -> Iterator[tuple[Array, ...]]:
         """Unknowns u, y and z after each step, from u and from about these contact forces.
 
-        They end where products of y and z are too small for a number, or no gap prevents some rigid motion.
+        The products of y and z begin with an energy, by default with that of gaps and forces. They end where
+        these are too small for a number, or no gap prevents some rigid motion.
         """
         s, unit = np.abs(self.tangents @ u), np.sqrt(self.unit)
         y, z = self._members(u, s), np.concatenate([np.abs(normal), self.bound / 2, self.bound / 2])
-        inside = np.mean(np.abs(y) * unit + z / unit)  # the same whatever the units of single unknowns
-        y, z = np.abs(y) + inside / unit, z + inside * unit
+        energy = energy or np.mean(np.abs(y) * unit + z / unit) ** 2  # whatever the units of single unknowns
+        y = np.abs(y) + np.sqrt(energy) / unit
+        z = z + energy / y
         while np.all(y * z > 0) and is_finite(z / y):
             try:
                 u, s, y, z = self._step(u, s, y, z)
@@ -128,7 +131,9 @@ class BarrierProgram:
         both, turn = below + above, (above - below) / (below + above)
         least, most = np.minimum(below, above), np.maximum(below, above)  # whose product may overflow
         springs = np.append(normal, 4 * least / (1 + least / np.maximum(most, 1e-300)))
-        solve = factorised(self.stiffness + self._rows.T @ (sp.diags_array(springs) @ self._rows))
+        scaled = self._rows.tocsc()  # both factors of the product by columns: a third of the time
+        scaled.data *= springs[scaled.indices]
+        solve = factorised(self.stiffness + self._rows.T @ scaled)
         residual = self.stiffness @ u - self.load
 
         def newton(change: Array) -> tuple[Array, ...]:

@@ -34,15 +34,10 @@ def penetrations(space: DisplacementSpace, nodes: Array, displacement: Array) ->
     for part in space.contact_sets:
         depth = ratio = 0.0
         for cells in cells_of(body, space, part):
-            depths = cells.depths(displacement)
+            depths = -np.min(cells.at_points(displacement), axis=1)
             depth = max(depth, float(np.max(depths, initial=0.0)))
             if space.problem.components == 2:
                 length = np.linalg.norm(cells.points[:, :, -1] - cells.points[:, :, 0], axis=0)
                 ratio = max(ratio, float(np.max(depths / length, initial=0.0)))
         result.append(Penetration(part, depth, ratio))
     return result
-
-
-def deepest(parts: list[Penetration]) -> float:
-    """The largest depth; 0 without contact."""
-    return max((part.depth for part in parts), default=0.0)

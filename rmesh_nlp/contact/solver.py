@@ -110,7 +110,9 @@ class ContactSolver:
         """The quadratic program at vertex positions (2, vertices) and a design, by default the first one."""
         given, at = self.discretisation.vertices.values(nodes, design), self._named(design)
         (value, pull, offset), (work, push, _) = self._elastic(given), self._loads(given)
-        normals, tangents = self.normals, self.tangents
+        bound, normals, tangents = np.zeros(self.contact_nodes.size), self.normals, self.tangents
+        # the friction energy is linear in the slips: its gradient is their bounds
+        bound[self.discretisation.friction_rows] = self._friction(given)[1]
         if self._curved:
             normals, tangents, _ = contact_rows(self.discretisation, nodes, at)
         return ContactSystem(
@@ -120,7 +122,7 @@ class ContactSolver:
             normals=normals,
             tangents=tangents,
             offset=offset,
-            slip_bound=self._slip_bound(given),
+            slip_bound=bound,
             frictional=self.discretisation.space.frictional,
             rigid=self.discretisation.rigid_motions(nodes),
             coulomb=coefficients(self.discretisation.space, nodes, at),
@@ -160,13 +162,6 @@ class ContactSolver:
         """Design variables by their names."""
         start = self.problem.start
         return start if design is None else dict(zip(start, design.tolist(), strict=True))
-
-    def _slip_bound(self, given: Array) -> Array:
-        """(gaps,) the largest friction forces."""
-        bound = np.zeros(self.contact_nodes.size)
-        # the friction energy is linear in the slips: its gradient is their bounds
-        bound[self.discretisation.friction_rows] = self._friction(given)[1]
-        return bound
 
 
 class _AtZero:

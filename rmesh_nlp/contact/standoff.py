@@ -15,6 +15,7 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
@@ -51,7 +52,6 @@ class Cells:
     distance: Array  # (m, k), gaps without displacement
     sag: Array  # (m, k - 1) of edges, what they may fall by from one point to the next; of triangles (m, k)
     at_nodes: Array  # (v, m), coefficients d_i of the interpolant of these gaps
-    vertices: int  # nodes of a cell at its vertices, which come first
     bends: Array  # (v, directions), second differences of N_i between points; no directions if N_i is linear
 
     @property
@@ -60,14 +60,19 @@ class Cells:
         return self.sag.shape == self.distance.shape
 
     def only(self, chosen: Mask) -> Cells:
-        """Some of the cells (m,)."""
-        first = {name: getattr(self, name)[chosen] for name in ("number", "distance", "sag")}
-        second = {name: getattr(self, name)[:, chosen] for name in ("nodes", "rows", "points", "at_nodes")}
-        return replace(self, **first, **second)
+        """Some of the cells (m,), triangles at order 1 with every other point in each direction."""
+        every: Mask | slice = slice(None)
+        if self.are_triangles and not self.bends.size:
+            every = np.all(np.rint(self.shares / np.min(self.shares[self.shares > 0])) % 2 == 0, axis=0)
+        first = {name: getattr(self, name)[:, chosen] for name in ("nodes", "rows", "at_nodes")}
+        second = {
+            name: getattr(self, name)[..., chosen, :][..., every] for name in ("points", "distance", "sag")
+        }
+        return replace(self, number=self.number[chosen], shares=self.shares[:, every], **first, **second)
 
     def unreachable(self, given: Array) -> Index:
         """Cells all of whose nodes are held, at ``given`` (components, nodes), and the foundation higher."""
-        gap = np.min(self.along(given) + self.distance, axis=1)
+        gap = np.min(self.at_points(given), axis=1)
         size = ROUNDING * (magnitude(self.distance) + magnitude(given))
         return np.flatnonzero(np.all(self.rows < 0, axis=0) & (gap < -size))
 
@@ -75,11 +80,6 @@ class Cells:
     def normals(self) -> Array:
         """(components, m, k) unit normals at the points."""
         return self.contact.obstacle.normals(self.points)
-
-    @cached_property
-    def tangents(self) -> Array:
-        """(components, m, k) unit tangents there, the normals turned by -90 degrees."""
-        return np.stack([self.normals[1], -self.normals[0]])
 
     def measures(self, problem: ContactProblem) -> Array:
         """(m, k) measure of the part of an edge that each point stands for, by Simpson's rule."""
@@ -90,15 +90,15 @@ class Cells:
 
     def displaced(self, displacement: Array) -> Array:
         """(components, m, k) the displacement (components, nodes) at the points, less that of what is met."""
-        return np.einsum("cvm,vk->cmk", self.contact.relative(displacement)[:, self.nodes], self.shares)
+        return self.contact.relative(displacement)[:, self.nodes].swapaxes(1, 2) @ self.shares
 
-    def along(self, displacement: Array) -> Array:
-        """(m, k) components of a displacement (components, nodes) along the normals at the points."""
-        return np.sum(self.normals * self.displaced(displacement), axis=0)
+    def at_points(self, displacement: Array) -> Array:
+        """(m, k) gaps at the points for a displacement (components, nodes)."""
+        return np.sum(self.normals * self.displaced(displacement), axis=0) + self.distance
 
     def gaps(self, displacement: Array) -> Array:
         """(m, k) least gaps about the points."""
-        return self.along(displacement) + self.distance - self.dips(displacement)
+        return self.at_points(displacement) - self.dips(displacement)
 
     def near(self, displacement: Array, most: float) -> Mask:
         """(m, k) points between which, or about which, the gap may be at most ``most``."""
@@ -107,10 +107,6 @@ class Cells:
             return np.broadcast_to(np.any(is_near, axis=1, keepdims=True), is_near.shape)
         either = np.asarray(is_near[:, 1:] | is_near[:, :-1], dtype=float)
         return self._beside(either) > 0
-
-    def depths(self, displacement: Array) -> Array:
-        """(m,) how far the foundation passes into each cell at its points, 0 without."""
-        return np.abs(np.minimum(np.min(self.along(displacement) + self.distance, axis=1), 0.0))
 
     def dips(self, displacement: Array) -> Array:
         """(m, k) by how much the gap may be less about the points than there, for a displacement.
@@ -126,12 +122,12 @@ class Cells:
         if self.are_triangles:
             return self.sag + bend / 8
         bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * self.sag
-        change = np.abs(np.diff(self.along(displacement) + self.distance))
+        change = np.abs(np.diff(self.at_points(displacement)))
         rest = np.maximum(bend / 2 - change, 0.0)
         return self._beside(np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
 
     @staticmethod
-    def _beside(sag: Array) -> Array:
+    def _beside(sag: NDArray) -> NDArray:
         """(m, k) largest of what is between points of edges and their neighbours, (m, k - 1)."""
         return np.maximum(np.pad(sag, ((0, 0), (1, 0))), np.pad(sag, ((0, 0), (0, 1))))
 
@@ -140,14 +136,12 @@ class Cells:
 
         It is the largest ratio of what is missing to the share of the free nodes, 0 where none is free.
         """
-        share = self.shares.T @ (self.rows >= 0)
-        counts = share > ROUNDING
-        lack = np.divide(-self.gaps(displacement).T, share, out=np.zeros(share.shape), where=counts)
-        return np.max(lack, axis=0, initial=0.0)
-
-    def pressed(self, force: Array) -> Mask:
-        """(m,) cells of which a free node presses on the foundation with a force of (gaps,)."""
-        return np.any((self.rows >= 0) & (force[self.rows] > 0), axis=0)
+        gaps, result = self.gaps(displacement), np.zeros(len(self.distance))
+        low = np.any(gaps < 0, axis=1)
+        share = (self.rows[:, low] >= 0).T @ self.shares
+        lack = np.divide(-gaps[low], share, out=np.zeros(share.shape), where=share > ROUNDING)
+        result[low] = np.max(lack, axis=1, initial=0.0)
+        return result
 
 
 def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Iterator[Cells]:
@@ -180,10 +174,7 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
         looked = contact.obstacle.distances(points)
         points, distance = points[..., ::every], looked[:, ::every]
         some, at_nodes = nodes[:, part], to_gaps @ distance[:, own].T
-        rows, corners = row[some], len(barycentric)
-        yield Cells(
-            contact, part, some, rows, shares, points, distance, sag(looked), at_nodes, corners, turns
-        )
+        yield Cells(contact, part, some, row[some], shares, points, distance, sag(looked), at_nodes, turns)
 
 
 def _between(distance: Array) -> Array:
@@ -200,20 +191,18 @@ def _about(distance: Array, triples: Index) -> Array:
     order = np.argsort(triples.ravel(), kind="stable")
     # the bends that each point belongs to, point after point
     beside, begins = order % triples.shape[1], np.flatnonzero(np.diff(triples.ravel()[order], prepend=-1))
-    bend = distance[:, triples[0]] - 2 * distance[:, triples[1]] + distance[:, triples[2]]
-    return BETWEEN * np.maximum.reduceat(np.abs(bend.T)[beside], begins).T
+    a, b, c = np.ascontiguousarray(distance.T)[triples]
+    return BETWEEN * np.maximum.reduceat(np.abs(a - 2 * b + c)[beside], begins).T
 
 
 @lru_cache
 def _lattice(n: int) -> tuple[Array, Index]:
     """Barycentric points (3, k) of a triangle, and triples of neighbours in a row, in three directions."""
-    places = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
-    number = {place: k for k, place in enumerate(places)}
-    triples = [
-        (number[i - di, j - dj], number[i, j], number[i + di, j + dj])
-        for i, j in places
-        for di, dj in ((1, 0), (0, 1), (1, -1))
-        if (i - di, j - dj) in number and (i + di, j + dj) in number
+    i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T
+    number = np.full((n + 3, n + 3), -1)
+    number[i, j] = np.arange(i.size)
+    rows = [
+        [number[i - di, j - dj], number[i, j], number[i + di, j + dj]] for di, dj in ((1, 0), (0, 1), (1, -1))
     ]
-    points = np.array([[n - i - j, i, j] for i, j in places]).T / n
-    return points, np.array(triples).T
+    triples = np.hstack(rows)
+    return np.stack([n - i - j, i, j]) / n, triples[:, np.all(triples >= 0, axis=0)]

@@ -58,6 +58,11 @@ class Curve(ABC):
     def _second(self) -> Pair:
         return _slopes(self._first)
 
+    @cached_property
+    def _sampled(self) -> tuple[Array, cKDTree]:
+        samples = np.linspace(*self.interval, SAMPLES)
+        return samples, cKDTree(self.at(samples).T)
+
     def at(self, t: Array) -> Array:
         """Points (2, n) at parameters (n,)."""
         return _values(self.functions, t)
@@ -68,9 +73,8 @@ class Curve(ABC):
 
     def nearest(self, points: Array) -> Array:
         """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
-        low, high = self.interval
-        samples = np.linspace(low, high, SAMPLES)
-        t = samples[cKDTree(self.at(samples).T).query(points.T)[1]]
+        (low, high), (samples, tree) = self.interval, self._sampled
+        t = samples[tree.query(points.T)[1]]
         step = (high - low) / SAMPLES
         for _ in range(20):
             off = self.at(t) - points

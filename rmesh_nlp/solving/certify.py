@@ -137,8 +137,7 @@ def bounded(
     bounds = dict[str, Bounds]()
     for text, part, weight in windows:
         if part.rows.size:  # not every gap is given
-            pressing = own.contact_sets[part.number]
-            (force,) = nodal_forces(own, nodes, pressing, final.equilibrium.normal_force)
+            (force,) = nodal_forces(own, nodes, own.contact_sets[part.number], final.equilibrium.normal_force)
             value = float(force @ own.interpolant(weight, nodes)[0])
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)

@@ -16,7 +16,7 @@ from rmesh_nlp.assessment.measures import (
     corrections,
     residuals,
 )
-from rmesh_nlp.contact.penetration import deepest, penetrations
+from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.setup_warnings import SetupWarning, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
@@ -199,7 +199,7 @@ def measured(outer: Outer, q: Array, *, audit: bool = True) -> State:
         pressure=pressure,
         tangential_stress=tangential,
         residuals=residuals(system, solved),
-        penetration=deepest(passing),
+        penetration=max((part.depth for part in passing), default=0.0),
         coulomb_residual=coulomb_residual(
             space, nodes, displacement, solved.normal_force, solved.tangential_force
         ),
