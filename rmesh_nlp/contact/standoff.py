@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
@@ -33,10 +32,10 @@ LATTICES, POINTS = (48, 32, 24, 16, 12), 150_000
 coarsest."""
 
 BETWEEN = 1 / 2
-"""Of the largest second difference beside a sample, what the height may exceed it by towards the next ones.
-A kink of size s at the part r of the way between two samples rises s r (1 - r) above their line and has
-second differences s r and s (1 - r): at most a half, halfway. In a triangle of samples the height over a
-ridge is largest on a side. Smooth foundations need an eighth on edges and a sixth in triangles."""
+"""Of the largest second difference beside a sample in a triangle, what the height may exceed it by towards
+the next ones. A kink of size s at the part r of the way between two samples rises s r (1 - r) above their
+line and has second differences s r and s (1 - r): at most a half, halfway. The height over a ridge is largest
+on a side. Smooth foundations need a sixth."""
 
 
 @dataclass(frozen=True)
@@ -178,12 +177,13 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
 
 
 def _between(distance: Array) -> Array:
-    """(m, k - 1) how far a gap may lie below its chords, by its values at every part of those."""
-    parts = sliding_window_view(distance, FINE + 1, axis=1)[:, ::FINE]
-    chords = parts[..., :1] + (parts[..., -1:] - parts[..., :1]) * (np.arange(FINE + 1) / FINE)
+    """(m, k - 1) how far a gap may lie below its chords: d, if below by ``4 d t (1 - t)`` along these.
+
+    A kink is below by ``s t (1 - t)``, s the jump of the slope times the chord's length. The second
+    differences beside it add up to ``s / FINE``, and as well where the slope changes evenly.
+    """
     bend = np.pad(np.abs(np.diff(distance, 2)), ((0, 0), (1, 1)))
-    largest = np.max(sliding_window_view(bend, FINE + 1, axis=1)[:, ::FINE], axis=2)
-    return np.max(chords - parts, axis=2) + BETWEEN * largest
+    return FINE / 4 * np.max((bend[:, 1:] + bend[:, :-1]).reshape(len(bend), -1, FINE), axis=2)
 
 
 def _about(distance: Array, triples: Index) -> Array:

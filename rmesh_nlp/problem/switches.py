@@ -22,7 +22,6 @@ DIFFERENCE = (*COMPARED, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
 ITSELF = (ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)  # the first argument
 ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # at every whole number
 LOGICAL = (*COMPARED, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
-UNKNOWN = {ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_CALL}  # they may jump, and it is not said where
 
 
 HIGH = 8
@@ -84,7 +83,7 @@ def degree_of_pieces(coefficient: Coefficient) -> int | None:
     degrees: dict[int, float] = {}
     for k in range(graph.n_instructions()):
         operation, sources = graph.instruction_id(k), graph.instruction_input(k)
-        if operation in UNKNOWN:
+        if operation == ca.OP_CALL:
             return None
         if operation in (ca.OP_CONST, ca.OP_INPUT, ca.OP_PARAMETER):
             degree: float = operation == ca.OP_INPUT

@@ -92,10 +92,12 @@ def waves(phase: float) -> ContactProblem:
 
 
 def test_what_coarse_rules_miss_is_within_the_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of loads, and of the strain energy of a ring that no load acts on."""
+    """Of loads, of the strain energy of a ring that no load acts on, and of friction."""
     held = Dirichlet("left", (0.01, None)), Dirichlet("bottom", (None, 0.0))
     ring = ContactProblem(rectangle(2, 2, x=(0.1, 1.1)), Axisymmetric(1.2, 0.8), held)
-    problems = [ring, *(waves(phase) for phase in (0.0, 1.5, 3.0, 4.5))]
+    rough = Obstacle.graph("bottom", 0.0, friction=lambda x, y: 1 + ca.sin(60 * x))
+    slid = ContactProblem(rectangle(4, 1), LAW, (Dirichlet("top", (0.1, -0.01)),), rough)
+    problems = [ring, slid, *(waves(phase) for phase in (0.0, 1.5, 3.0, 4.5))]
     least = [admissible(problem).energy for problem in problems]
     coarsen(monkeypatch)
     found = [admissible(problem) for problem in problems]
@@ -269,8 +271,8 @@ def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(height, s
     assert (deepest(found) < 1e-9) is (status is Status.CONVERGED)
 
 
-RIDGE = (SAMPLES / 2 + 0.5) / SAMPLES
-"""Halfway between two samples."""
+RIDGE, PEAKED = (SAMPLES / 2 + 0.5) / SAMPLES, (SAMPLES * FINE / 2 + 0.5) / (SAMPLES * FINE)
+"""Halfway between two points, and between two of the places between these that are looked at."""
 
 
 def cells_on(problem: ContactProblem) -> list[Cells]:
@@ -307,6 +309,7 @@ def closed(cells: Cells) -> np.ndarray:
         (lambda s: 0.05 * (1 - np.cos(2 * np.pi * s)), 0.1),
         (lambda s: s * s * (1 - s), 4 / 27),  # the top lies between two samples
         (lambda s: 0.4 * np.minimum(s / RIDGE, (1 - s) / (1 - RIDGE)), 0.4),
+        (lambda s: 0.4 * np.minimum(s / PEAKED, (1 - s) / (1 - PEAKED)), 0.4),
     ],
 )
 def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: Callable, off: float) -> None:

@@ -122,6 +122,7 @@ def disc(x, y):
         ),
         (lambda x, y: where(ca.logic_and(x > 0.4, y < 0.3), 2.0, 0.0), 2 * 1.6 * 0.3, 1e-12, True),
         (lambda x, y: ca.sign(x - 1) + ca.floor(x), 1.0, 1e-4, False),
+        (lambda x, y: ca.floor(3 * x + 0.1), 5.2, 1e-4, False),
         (lambda x, y: where(ca.sin(3 * x) > 0, 1.0, 0.0), np.pi / 3, 1e-5, False),
         (disc, np.pi * 0.09, 1e-3, False),
         # switches that are nearly constant beside their zeros, which are close to a side

@@ -385,6 +385,10 @@ def test_a_load_that_varies_within_elements_works_on_what_the_field_does_there()
     found = bracket_of(ContactProblem(rectangle(3, 3), source, SIDES))
     assert not found.lower_faults
     assert found.lower <= -1 / (64 * np.pi**2) <= found.upper  # an eigenfunction
+    # a wave on each edge, without mean and moment there: u is cos(k x) sinh(k y)
+    wave, k = Traction("top", (lambda x, y: ca.cos(6 * ca.pi * x),)), 6 * np.pi
+    found = bracket_of(ContactProblem(rectangle(3, 3), Laplace(0.0), ("bottom",), tractions=wave))
+    assert found.lower <= -np.tanh(k) / (4 * k) <= found.upper
 
 
 @pytest.mark.parametrize(

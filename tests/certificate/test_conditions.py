@@ -102,7 +102,6 @@ def test_a_given_component_is_as_doubtful_whatever_is_given_beside_it(monkeypatc
     assert doubts == pytest.approx([doubts[0]] * 3)
 
 
-@pytest.mark.slow
 def test_data_on_edges_by_hand() -> None:
     problem = plate()
     skeleton = on(problem)

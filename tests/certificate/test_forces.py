@@ -12,7 +12,7 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Continuous, admissible
 from rmesh_nlp.certificate.bracket import Bracket
-from rmesh_nlp.certificate.forces import force_bounds
+from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Place, PlaneStrain, Traction
@@ -42,8 +42,11 @@ def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(order: int) -> Non
     """2 w'' = 3 from -0.1 to the obstacle at -0.3, whose force is 3 / 2 - 2 (0.3 - 0.1)."""
     held, obstacle = (Dirichlet("left", (-0.1,)),), Obstacle("right", (1.0,), 0.3)
     mesh = distorted(rectangle(3, 3), 0.2, 1)
-    lower, upper = bounds_of(ContactProblem(mesh, Laplace(-3.0, 2.0), held, obstacle, order=order))
+    problem = ContactProblem(mesh, Laplace(-3.0, 2.0), held, obstacle, order=order)
+    lower, upper = bounds_of(problem)
     assert lower < 1.1 < upper
+    needle = "pressure(right, exp(-1e10*(y - 0.703)**2))"  # no point at which gaps are looked at is on it
+    assert not certify(fixed.solve(problem), quantities=[needle]).bounds[needle].guaranteed
     assert upper - lower < {1: 1.0, 2: 1e-3}[order]
 
 
@@ -130,6 +133,15 @@ def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch:
     monkeypatch.setattr(Continuous, "solve", lambda *given: replace(found(*given), doubt=1e-3 * exact.strain))
     wide = force_bounds(exact, lower, contact)
     assert 0 <= wide[0] < plain[0] < plain[1] < wide[1]
+    # a displacement that is not admissible bounds nothing
+    monkeypatch.setattr(Continuous, "solve", lambda *given: replace(found(*given), penetration=1e-3))
+    assert force_bounds(exact, lower, contact) == (0, np.inf)
+
+
+def test_a_smaller_step_bounds_a_slope_where_a_larger_one_is_not_possible() -> None:
+    """P(s) = s^2 up to s = 1, known up to 1: the best step would be 4."""
+    bounds = slope_bounds(lambda s: s**2 if abs(s) < 1 else np.inf, -1.0, 1.0, 1 / 8, 0.0)
+    assert bounds == pytest.approx((-2.5, 2.5))
 
 
 @pytest.mark.slow
