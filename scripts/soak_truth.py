@@ -22,7 +22,7 @@ a  a success whose true error is larger than that of the given mesh by more than
 b  a claimed factor of error reduction of more than 1.2 times the true one;
 c  a reported audited energy below J*, a guaranteed bound that does not hold, a percentage that is printed
    where the lower bound is above the upper one;
-r  with ``--kind shared`` a contact force off that of the reference by more than 2 %;
+r  with ``--kind shared`` a contact force, as it is printed, off that of the reference by more than 2 %;
 f  a crash, a feasible problem refused, success for an infeasible one, a solve of more than 60 s, and a
    contradiction between status, success, valid and improved.
 
@@ -138,7 +138,9 @@ def checked(data: Data) -> Row:
         row["seconds"] = time.perf_counter() - began
         record = solution.record()
         row |= {"status": record["status"], "success": record["success"], "claimed": claimed_factor(record)}
-        row["force"] = record.get("resultant")
+        row["force_computed"] = record.get("resultant")
+        known = [of["value"] for text, of in record.get("estimates", {}).items() if "resultant" in text]
+        row["force"] = sum(known) if known else row["force_computed"]  # what the summary prints
         row["audited"] = [record.get(key) for key in ("energy_initial_audited", "energy_audited")]
         if data.certify and row["feasible"]:
             row["certificate"] = certificate(solution, data)
@@ -255,8 +257,9 @@ def summary(rows: Sequence[Row]) -> int:
         line = {"family": family, "solves": len(part), "well-posed": len(posed), "of them successes": share}
         line |= {"successes": len(good), "with a fault": sum(bool(row["faults"]) for row in good)}
         line |= {"median true factor": factor(good), "faults": faults(part) or "none"}
-        off = [abs(row["force_error"]) for row in part if "force_error" in row]
-        line |= {"force off, median and most": f"{median(off):.2%}, {max(off):.2%}"} if off else {}
+        for key in ("force", "force_computed"):
+            off = [abs(row[key] / row["resultant"] - 1) for row in part if "force_error" in row]
+            line |= {f"{key} off, median and most": f"{median(off):.2%}, {max(off):.2%}"} if off else {}
         for key in ("seconds", "check_seconds"):
             times = [row[key] for row in part]
             line[f"{key}, median and most"] = f"{median(times):.2f}, {max(times):.1f}"

@@ -104,8 +104,7 @@ class Cells:
         is_near = self.gaps(displacement) <= most
         if self.are_triangles:
             return np.broadcast_to(np.any(is_near, axis=1, keepdims=True), is_near.shape)
-        either = np.asarray(is_near[:, 1:] | is_near[:, :-1], dtype=float)
-        return self._beside(either) > 0
+        return self._beside(is_near[:, 1:] | is_near[:, :-1])
 
     def dips(self, displacement: Array) -> Array:
         """(m, k) by how much the gap may be less about the points than there, for a displacement.
