@@ -103,7 +103,7 @@ class BarrierProgram:
         y, z = self._members(u, s), np.concatenate([np.abs(normal), self.bound / 2, self.bound / 2])
         energy = energy or np.mean(np.abs(y) * unit + z / unit) ** 2  # whatever the units of single unknowns
         y = np.abs(y) + np.sqrt(energy) / unit
-        z = z + energy / y
+        z = z + energy / np.maximum(y, 1e-300)  # nothing to do where all are zero
         while np.all(y * z > 0) and is_finite(z / y):
             try:
                 u, s, y, z = self._step(u, s, y, z)

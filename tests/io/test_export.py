@@ -80,7 +80,7 @@ def test_friction_bound_is_given_plus_coulomb_times_the_pressure_of_each_node() 
         tractions=(Traction("top", (0.5, -4.0)),),
     )
     state = fields_of(fixed.solve(problem)).final
-    contact = np.isfinite(state.gap)
+    contact = np.isclose(problem.mesh.p[1], 0)  # with the node that it shares with the support
     touched = state.pressure[contact]
     assert np.ptp(touched) > 1
     np.testing.assert_allclose(state.friction_bound[contact], 0.5 + 0.3 * touched, rtol=1e-12)
