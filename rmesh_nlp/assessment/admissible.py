@@ -167,6 +167,7 @@ class Continuous:
             ):
                 return self._made(system, state)
         program, whole, last = self._reduced
+        program = program.with_offset(self._bare.offset)  # of a shifted foundation
         x = self._lowest(program, last, solve(program, start))
         state = _in_contact(program, x)
         gap = program.normals @ x + self._bare.offset

@@ -93,15 +93,17 @@ class BarrierProgram:
                 break
         return best
 
-    def steps(self, u: Array, normal: Array, energy: float = 0.0) -> Iterator[tuple[Array, ...]]:
+    def steps(self, u: Array, normal: Array, energy: float | None = None) -> Iterator[tuple[Array, ...]]:
         """Unknowns u, y and z after each step, from u and from about these contact forces.
 
-        The products of y and z begin with an energy, by default with that of gaps and forces. They end where
-        these are too small for a number, or no gap prevents some rigid motion.
+        The products of y and z begin with an energy, or with that of what u is not admissible by; by default
+        with that of gaps and forces. They end where these are too small for a number, or no gap prevents some
+        rigid motion.
         """
         s, unit = np.abs(self.tangents @ u), np.sqrt(self.unit)
         y, z = self._members(u, s), np.concatenate([np.abs(normal), self.bound / 2, self.bound / 2])
-        energy = energy or np.mean(np.abs(y) * unit + z / unit) ** 2  # whatever the units of single unknowns
+        inside = np.abs(y) * unit + z / unit if energy is None else np.maximum(-y, 0.0) * unit
+        energy = max(energy or 0.0, np.mean(inside) ** 2)  # whatever the units of single unknowns
         y = np.abs(y) + np.sqrt(energy) / unit
         z = z + energy / np.maximum(y, 1e-300)  # nothing to do where all are zero
         while np.all(y * z > 0) and is_finite(z / y):

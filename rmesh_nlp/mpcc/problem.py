@@ -160,9 +160,8 @@ class MPCC:
         n = given if given in (*self.completions, self.n_x) else self.n_own
         start = _values("x0", x0, n, finite=True, symbols=self.x)
         while start.size < self.n_x:
-            start = np.append(
-                start, np.nan_to_num(flat(self.completions[start.size](start, self.parameters(p))))
-            )
+            rest = np.array(self.completions[start.size](start, self.parameters(p))).ravel()
+            start = np.append(start, np.nan_to_num(rest))
         return start
 
     def parameters(self, p: ArrayLike) -> Array:
