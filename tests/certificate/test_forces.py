@@ -63,6 +63,15 @@ def test_force_of_an_obstacle_in_the_interior(order: int) -> None:
         assert upper - lower < {1: 1.2, 2: 0.3}[order]
 
 
+def test_force_that_the_load_alone_gives_is_known_with_friction() -> None:
+    """The search over a foundation that is shifted by a length begins where the body stands on it."""
+    floor = Obstacle.graph("bottom", -0.01, friction=3.0)
+    law, held = PlaneStrain.from_young(1000.0, 0.3), (Dirichlet("left", (0.0, None)),)
+    mesh = rectangle(4, 2, x=(0, 4), y=(0, 2))
+    problem = ContactProblem(mesh, law, held, floor, tractions=(Traction("top", (0.0, -10.0)),), order=2)
+    assert bounds_of(problem) == pytest.approx((40, 40), rel=1e-4)
+
+
 def test_nearly_all_of_a_force_acts_where_it_is_proved_to() -> None:
     """The pressure 3/2 |x|^(1/2) up to the origin: on (a, b) acts |a|^(3/2) - |b|^(3/2)."""
     bounds = certify(fixed.solve(signorini(8, 2))).bounds["resultant(free)"]
