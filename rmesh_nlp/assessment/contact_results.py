@@ -108,10 +108,14 @@ def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) 
         pressure = on.values[: space.n_vertices]
         top = int(np.argmax(pressure))
         beside = on.cells[::-1][on.cells == top]
-        if not pressure[top] > PEAKED * np.max(pressure[beside], initial=0.0):
-            continue
-        is_kink = np.any(np.isclose(nodes[0, top], part.obstacle.kinks))
+        around = nodes[0, [top, *beside]]
+        low, high = np.min(around) - ROUNDING * np.ptp(around), np.max(around) + ROUNDING * np.ptp(around)
+        is_kink = any(low <= kink <= high for kink in part.obstacle.kinks)
         is_end = on.ends[top] and not on.even_ends[top] and not _is_sharp(space, part, nodes, top)
+        # between two nodes a kink lifts both
+        least = np.min if is_kink else np.max
+        if not pressure[top] > PEAKED * least(pressure[beside], initial=pressure[top] * is_kink):
+            continue
         if is_kink or is_end:
             place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
             name = str(part.obstacle.boundary)

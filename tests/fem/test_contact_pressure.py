@@ -10,12 +10,13 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import Continuous
-from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, unlimited_peaks
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.setup_warnings import check
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces, recovered
 from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.problem import PiecewiseLinear
 from rmesh_nlp.solving.verification import verify_gradient
 from support.orders import ORDERS
 
@@ -283,3 +284,22 @@ def test_resolution_is_warned_of_by_one_rule() -> None:
     for order, n, is_said in ((1, 8, True), (2, 8, True), (1, 16, False), (2, 16, False)):
         texts = check(replace(hertz(n), order=order))
         assert any("too coarse" in text for text in texts) is is_said
+
+
+def test_peak_beside_a_kink_between_nodes_may_have_no_limit() -> None:
+    """Not that of a table of a parabola, whose kinks are many and small."""
+    x = np.linspace(0, 4, 101)
+    tables = ((0.0, 1.83, 2.41, 4.0), (-0.05, -0.01, -0.01, -0.06)), (x, -0.01 - 0.02 * (x - 2.03) ** 2)
+    told = []
+    for places, heights in tables:
+        problem = rm.ContactProblem(
+            rm.shapes.rectangle(14, 5, x=(0, 4)),
+            rm.PlaneStrain.from_young(1000, 0.3),
+            ("left", "right"),
+            rm.Obstacle.graph("bottom", PiecewiseLinear(tuple(places), tuple(heights))),
+            tractions=(rm.Traction("top", (0.0, -30.0)),),
+            order=2,
+        )
+        solver = ContactSolver(problem)
+        told.append(list(unlimited_peaks(solver.discretisation.space, problem.mesh.p, solver.given)))
+    assert told == [["bottom"], []]
