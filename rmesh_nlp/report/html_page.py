@@ -38,6 +38,7 @@ from rmesh_nlp.report.blocks import (
 from rmesh_nlp.report.columns import CONTACT, KINDS, Column, of, of_boundaries, table_of
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures, stress_figures
+from rmesh_nlp.report.joined import ESTIMATES, estimate_rows
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import Page, lay_out
@@ -114,6 +115,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         meshes_left=meshes_left,
         solves=_solves(comparable, [*printed, *_design_columns(records)], failed={*failed}),
         forces=_solves(of_boundaries(records, 1 if is_own else 2), CONTACT, texts=4),
+        estimates=table_of(ESTIMATES, estimate_rows(records), texts=4),
         more=_solves(comparable, others, failed={*failed}),
         failures=_solves([records[i] for i in failed], [*of("status"), MESSAGE], texts=6),
         remarks=[

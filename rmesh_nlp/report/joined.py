@@ -46,6 +46,9 @@ ESTIMATES = (
     Column("formulation", label),
     *(Column(name, name, ".6g") for name in ("example", "nodes", "quantity", "computed", "value")),
     Column("error", "error", ".2g"),
+    Column(
+        "guaranteed", lambda row: bounds_in_words(row["lower"], row["upper"]) if row.get("guaranteed") else ""
+    ),
 )
 NAMED = {"design": "Design variables", "constraints": "Constrained quantities"}
 
@@ -73,7 +76,7 @@ def joined_tables(records: Records) -> list[Table]:
             estimate_rows(records),
             title="Estimated errors",
             caption="Quantities on the final mesh: computed values, the best known ones, and the estimated "
-            "errors of the former.",
+            "errors of the former; bounds, where those are guaranteed.",
         ),
     )
     return [table for table in tables if table.rows]
