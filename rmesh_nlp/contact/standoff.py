@@ -31,12 +31,6 @@ LATTICES, POINTS = (48, 32, 24, 16, 12), 150_000
 """The same along the sides of a triangle: the finest with which the mesh has no more points than this, or the
 coarsest."""
 
-BETWEEN = 1 / 2
-"""Of the largest second difference beside a sample in a triangle, what the height may exceed it by towards
-the next ones. A kink of size s at the part r of the way between two samples rises s r (1 - r) above their
-line and has second differences s r and s (1 - r): at most a half, halfway. The height over a ridge is largest
-on a side. Smooth foundations need a sixth."""
-
 
 @dataclass(frozen=True)
 class Cells:
@@ -111,16 +105,18 @@ class Cells:
 
         Where it changes by d from one point to the next, and lies at most ``D t (1 - t) / 2`` below its
         chord, it is less than at both by ``(D / 2 - |d|)^2 / (2 D)`` if ``|d| < D / 2``, and else not at all.
-        In triangles d is not regarded.
+        In triangles d is not regarded, nor at the ends of an edge: a kink beside an end is seen from one side
+        alone, which bounds its depth and not the jump of the slope.
         """
         bend = np.zeros(self.distance.shape)
         for bends in self.bends.T:
             bent = np.einsum("cvm,v->cm", self.contact.relative(displacement)[:, self.nodes], bends)
             bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
         if self.are_triangles:
-            return self.sag + bend / 8
+            return self.sag + bend / 6
         bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * self.sag
         change = np.abs(np.diff(self.at_points(displacement)))
+        change[:, [0, -1]] = 0.0
         rest = np.maximum(bend / 2 - change, 0.0)
         return self._beside(np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
 
@@ -152,9 +148,9 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
         nodes, at = space.elements, body.points
         fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
         n, every = fits[0] if fits else LATTICES[-1], 1
-        barycentric, triples = _lattice(n)
+        barycentric, rows = _lattice(n)
         where, steps = barycentric[:, None], (np.roll(np.eye(3), 1, axis=0) - np.eye(3)) / n
-        sag = partial(_about, triples=triples)
+        sag = partial(_about, rows=rows)
     else:
         edges = body.edges(str(contact.obstacle.boundary))
         nodes, at, every, sag = space.nodes_of(edges.ends), edges.at, FINE, _between
@@ -185,23 +181,29 @@ def _between(distance: Array) -> Array:
     return FINE / 4 * np.max((bend[:, 1:] + bend[:, :-1]).reshape(len(bend), -1, FINE), axis=2)
 
 
-def _about(distance: Array, triples: Index) -> Array:
-    """(m, k) how far a gap may lie below its values at the points of a triangle."""
-    order = np.argsort(triples.ravel(), kind="stable")
-    # the bends that each point belongs to, point after point
-    beside, begins = order % triples.shape[1], np.flatnonzero(np.diff(triples.ravel()[order], prepend=-1))
-    a, b, c = np.ascontiguousarray(distance.T)[triples]
-    return BETWEEN * np.maximum.reduceat(np.abs(a - 2 * b + c)[beside], begins).T
+def _about(distance: Array, rows: Index) -> Array:
+    """(m, k) how far a gap may lie below its values at the points of a triangle.
+
+    Of a quadratic function it is a sixth of the second difference at most, in the middle. The third
+    difference is that of a kink: one of size s at the part r of the way between two points is
+    ``s r (1 - r)`` below their line, most on a side of a triangle. It has second differences s r and
+    s (1 - r), of which the side of a cell hides one.
+    """
+    order = np.argsort(rows.ravel(), kind="stable")
+    # the rows that each point belongs to, point after point
+    beside, begins = order % rows.shape[1], np.flatnonzero(np.diff(rows.ravel()[order], prepend=-1))
+    bends = np.diff(np.ascontiguousarray(distance.T)[rows], 2, axis=0)
+    sag = np.max(np.abs(bends), axis=0) / 6 + np.abs(bends[1] - bends[0])
+    return np.maximum.reduceat(sag[beside], begins).T
 
 
 @lru_cache
 def _lattice(n: int) -> tuple[Array, Index]:
-    """Barycentric points (3, k) of a triangle, and triples of neighbours in a row, in three directions."""
+    """Barycentric points (3, k) of a triangle, and fours of neighbours in a row (4, rows)."""
     i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T
-    number = np.full((n + 3, n + 3), -1)
+    number = np.full((n + 4, n + 4), -1)
     number[i, j] = np.arange(i.size)
-    rows = [
-        [number[i - di, j - dj], number[i, j], number[i + di, j + dj]] for di, dj in ((1, 0), (0, 1), (1, -1))
-    ]
-    triples = np.hstack(rows)
-    return np.stack([n - i - j, i, j]) / n, triples[:, np.all(triples >= 0, axis=0)]
+    rows = np.hstack(
+        [[number[i + s * di, j + s * dj] for s in range(4)] for di, dj in ((1, 0), (0, 1), (1, -1))]
+    )
+    return np.stack([n - i - j, i, j]) / n, rows[:, np.all(rows >= 0, axis=0)]

@@ -15,7 +15,7 @@ from rmesh_nlp.assessment.measures import residuals
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.standoff import BETWEEN, FINE, SAMPLES, Cells, cells_of
+from rmesh_nlp.contact.standoff import FINE, LATTICES, SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import named
@@ -316,7 +316,7 @@ def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: C
     cells = edge(height)
     found = cells.missing(closed(cells))
     samples = height(np.linspace(0, 1, SAMPLES * FINE + 1))  # between them it may rise by half a bend
-    assert off - 1e-12 <= found[0] <= off + 1e-4 + BETWEEN * np.max(np.abs(np.diff(samples, 2)))
+    assert off - 1e-12 <= found[0] <= off + 1e-4 + np.max(np.abs(np.diff(samples, 2))) / 2
 
 
 def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
@@ -370,19 +370,46 @@ def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
 
 
 @pytest.mark.parametrize("bent", ["foundation", "displacement"])
-def test_in_triangles_nothing_below_the_gaps_about_their_points_is_overlooked(bent: str) -> None:
-    """A saddle, straight along two sides, is least on the third one halfway between two samples."""
-    saddle = lambda x, y: 2 - (x + 1 / 48) * y  # noqa: E731
-    height = (lambda x, y: -saddle(x, y)) if bent == "foundation" else -1.0
+@pytest.mark.parametrize(
+    ("gap", "least"),
+    [
+        (lambda x, y: 2 - (x + 1 / 48) * y, 2 - (49 / 96) ** 2),  # on the third side, halfway between samples
+        (lambda x, y: 1 + (x - 1 / 144) ** 2 + (y - 1 / 144) ** 2 + (x + y - 1 / 72) ** 2, 1.0),
+    ],
+)
+def test_in_triangles_nothing_below_the_gaps_about_their_points_is_overlooked(
+    gap: Callable, least: float, bent: str
+) -> None:
+    """A saddle, straight along two sides, and a bowl whose least gap is amid three samples."""
+    height = (lambda x, y: -gap(x, y)) if bent == "foundation" else -1.0
     problem = ContactProblem(
         rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), Obstacle.interior(height), order=2
     )
     space, (cells,) = DisplacementSpace(problem), cells_on(problem)
     u = np.zeros((1, space.n_nodes))
     if bent == "displacement":
-        u = space.coefficients(saddle(*space.points(problem.mesh.p))[None] - 1)
+        u = space.coefficients(gap(*space.points(problem.mesh.p))[None] - 1)
     corner = 0 if np.all(np.min(cells.points[:, 0], axis=1) < 0.01) else 1
-    assert np.min(cells.gaps(u)[corner]) <= 2 - (49 / 96) ** 2
+    assert least - 1e-3 < np.min(cells.gaps(u)[corner]) <= least + 1e-12
+
+
+@pytest.mark.parametrize("slope", [-0.95, 0.95])
+@pytest.mark.parametrize("part", [0.05, 0.3])
+def test_a_kink_beside_an_end_is_not_overlooked(part: float, slope: float) -> None:
+    """Of gaps 1 + |s - a| + slope s, with no point between the kink at a and the end."""
+    a = part / (SAMPLES * FINE)
+    for place in (a, 1 - a):
+        cells = edge(lambda s, place=place: -ca.fabs(s - place))
+        u = np.zeros((2, 4))
+        u[1, cells.nodes[:, 0]] = 0.0, slope
+        assert -2 / SAMPLES < np.min(cells.gaps(u)) - (1 + slope * place) <= 1e-12
+    a = part / LATTICES[0]
+    roof = Obstacle.interior(lambda x, y: -1 - ca.fabs(x - a))
+    problem = ContactProblem(rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), roof)
+    (cells,) = cells_on(problem)
+    corner = np.argmin(np.mean(cells.points[0], axis=1))
+    gap = np.min(cells.gaps(slope * problem.mesh.p[:1])[corner])
+    assert -2 / LATTICES[0] < gap - (1 + slope * a) <= 1e-12
 
 
 @pytest.mark.slow
