@@ -187,23 +187,24 @@ def _about(distance: Array, rows: Index) -> Array:
     Of a quadratic function it is a sixth of the second difference at most, in the middle. The third
     difference is that of a kink: one of size s at the part r of the way between two points is
     ``s r (1 - r)`` below their line, most on a side of a triangle. It has second differences s r and
-    s (1 - r), of which the side of a cell hides one.
+    s (1 - r), of which the side of a cell hides one. Five points have two third differences:
+    what else bends there cancels one of them at most.
     """
     order = np.argsort(rows.ravel(), kind="stable")
     # the rows that each point belongs to, point after point
     beside, begins = order % rows.shape[1], np.flatnonzero(np.diff(rows.ravel()[order], prepend=-1))
-    bends = np.diff(np.ascontiguousarray(distance.T)[rows], 2, axis=0)
-    sag = np.max(np.abs(bends), axis=0) / 6 + np.abs(bends[1] - bends[0])
-    return np.maximum.reduceat(sag[beside], begins).T
+    looked = np.ascontiguousarray(distance.T)[rows]
+    bend, kink = (np.max(np.abs(np.diff(looked, n, axis=0)), axis=0) for n in (2, 3))
+    return np.maximum.reduceat((bend / 6 + kink)[beside], begins).T
 
 
 @lru_cache
 def _lattice(n: int) -> tuple[Array, Index]:
-    """Barycentric points (3, k) of a triangle, and fours of neighbours in a row (4, rows)."""
+    """Barycentric points (3, k) of a triangle, and five neighbours in a row (5, rows)."""
     i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T
-    number = np.full((n + 4, n + 4), -1)
+    number = np.full((n + 5, n + 5), -1)
     number[i, j] = np.arange(i.size)
     rows = np.hstack(
-        [[number[i + s * di, j + s * dj] for s in range(4)] for di, dj in ((1, 0), (0, 1), (1, -1))]
+        [[number[i + s * di, j + s * dj] for s in range(5)] for di, dj in ((1, 0), (0, 1), (1, -1))]
     )
     return np.stack([n - i - j, i, j]) / n, rows[:, np.all(rows >= 0, axis=0)]
