@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,17 +143,15 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     row = np.full(space.n_nodes, -1)
     row[contact.nodes] = contact.rows
     at: Callable[[Index, Array], tuple[Array, Array]]
-    sag: Callable[[Array], Array]
-    if contact.obstacle.boundary is Place.INTERIOR:
+    is_inside = contact.obstacle.boundary is Place.INTERIOR
+    if is_inside:
         nodes, at = space.elements, body.points
-        fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
-        n, every = fits[0] if fits else LATTICES[-1], 1
-        barycentric, rows = _lattice(n)
+        n = max(n for n in LATTICES if n == LATTICES[-1] or n * n / 2 * nodes.shape[1] <= POINTS)
+        every, (barycentric, rows) = 1, _lattice(n)
         where, steps = barycentric[:, None], (np.roll(np.eye(3), 1, axis=0) - np.eye(3)) / n
-        sag = partial(_about, rows=rows)
     else:
         edges = body.edges(str(contact.obstacle.boundary))
-        nodes, at, every, sag = space.nodes_of(edges.ends), edges.at, FINE, _between
+        nodes, at, every = space.nodes_of(edges.ends), edges.at, FINE
         where = np.arange(SAMPLES * FINE + 1)[None] / (SAMPLES * FINE)
         barycentric = np.stack([1 - where[0, ::FINE], where[0, ::FINE]])
         steps = np.array([[-1.0], [1.0]]) / SAMPLES
@@ -161,14 +159,15 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     own = np.argmax(shares, axis=1)  # the points of the nodes
     # a quadratic form has twice its value at the step as its second difference
     turns = 2 * functions(space.order, steps) if space.order == 2 else np.zeros((len(shares), 0))
-    size = max(1, 400_000 // where.shape[-1])
+    size = 400_000 // where.shape[-1]
     for first in range(0, nodes.shape[1], size):
-        part = np.arange(first, min(first + size, nodes.shape[1]))
+        part = np.arange(nodes.shape[1])[first : first + size]
         points = at(part, np.broadcast_to(where, (*where.shape[:-2], part.size, where.shape[-1])))[0]
         looked = contact.obstacle.distances(points)
         points, distance = points[..., ::every], looked[:, ::every]
         some, at_nodes = nodes[:, part], to_gaps @ distance[:, own].T
-        yield Cells(contact, part, some, row[some], shares, points, distance, sag(looked), at_nodes, turns)
+        sag = _about(looked, rows) if is_inside else _between(looked)
+        yield Cells(contact, part, some, row[some], shares, points, distance, sag, at_nodes, turns)
 
 
 def _between(distance: Array) -> Array:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.assessment.energy import load_vector
+from rmesh_nlp.assessment.energy import load_vector, shape_integrals
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.conditions import check_normal, is_seen
@@ -30,13 +30,14 @@ from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.errors import BadInputError, expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.expressions import Expression
-from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
+from rmesh_nlp.fem.contact_pressure import contact_stresses, recovered
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion, Traction
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.switches import switches
 from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.outer import Outer
@@ -100,7 +101,7 @@ def bounded(
     given, final = assessment.given, assessment.final
     if given.continuous is None or final.continuous is None:
         raise BadInputError(f"there is nothing to certify: the solution is {assessment.status.value}")
-    problem, first = final.problem, given.problem
+    problem = final.problem
     for obstacle in problem.obstacles:  # a polygon has no round pairs
         check_normal(obstacle)
     nodes, exact = final.mesh.p, _on_polygon(final, final.continuous)
@@ -119,12 +120,12 @@ def bounded(
     after = _bracket(final, exact, refinements)
     if problem.order == 2 and problem.motion.curves:  # what order 1 cannot do either is said before
         raise NotCertifiableError(POLYGON)
-    before, is_one = after, True
-    is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
+    before = after
+    is_new = not np.array_equal(given.problem.mesh.t, problem.mesh.t)
     if is_new or not np.array_equal(nodes, given.mesh.p):
-        before, is_one = _bracket(given, _on_polygon(given, given.continuous), refinements), False
-        is_same = not final.design  # else the bounds are those of two problems
-        if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
+        before = _bracket(given, _on_polygon(given, given.continuous), refinements)
+        # with a design they are bounds of two problems, and curves are polygons of two meshes
+        if not (final.design or (is_new and problem.motion.curves)) and same_domain(problem, nodes):
             best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
             before, after = (
                 replace(bracket, lower=best.lower, lower_faults=best.lower_faults)
@@ -132,13 +133,16 @@ def bounded(
             )
         if is_new:  # the elements of a file are those of the last mesh
             before = replace(before, local=np.full(problem.mesh.nelements, np.nan))
-    before, after = _consistent(before), _consistent(after)
+    is_one, before, after = before is after, _consistent(before), _consistent(after)
     why = after.why if is_one else (*after.why, *(f"given mesh: {reason}" for reason in before.why))
     bounds = dict[str, Bounds]()
     for text, part, weight in windows:
         if part.rows.size:  # not every gap is given
-            (force,) = nodal_forces(own, nodes, own.contact_sets[part.number], final.equilibrium.normal_force)
-            value = float(force @ own.interpolant(weight, nodes)[0])
+            (on,) = recovered(own, nodes, own.contact_sets[part.number], final.equilibrium.normal_force)
+            value = float(on.nodal @ own.interpolant(weight, nodes)[0])
+            if switches(weight) and len(on.cells) == 2:  # an interpolant does not see a jump
+                edges = Body(problem, nodes).edges_of(part.obstacle)
+                value = float(np.sum(on.means[edges.ends] * shape_integrals(edges, weight).value))
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
             where = None if callable(weight) else within(exact, after.lower, part, low)
@@ -209,7 +213,7 @@ def _load_bounds(
 ) -> Bounds:
     """Bounds of the work of a load on the exact solution; ``under`` is the problem with s times that load."""
     on = exact.continuous
-    parts, nodes, field = on.parts, on.body.nodes, on.field
+    nodes, field = on.body.nodes, on.field
     body = Body(under(1.0), nodes)
     push = load_vector(body, DisplacementSpace(body.problem))[0] - on.load
     free, u = field.index.T.ravel() >= 0, exact.displacement.T.ravel()
@@ -220,7 +224,7 @@ def _load_bounds(
     def upper(s: float) -> float:
         try:
             state = solve(moved(s), exact.state.active)
-            stresses = contact_stresses(parts.space, nodes, state.normal_force, state.tangential_force)
+            stresses = contact_stresses(on.parts.space, nodes, state.normal_force, state.tangential_force)
             guess = Guess(field.values(state.u), *stresses)
             bracket = refined_bracket(under(s), nodes, guess, refinements)
         except FAULTS:  # nothing holds the body, or a tool
@@ -238,14 +242,13 @@ def _certificate(
     before: Bracket, after: Bracket, why: tuple[str, ...], bounds: dict[str, Bounds]
 ) -> Certificate:
     # half the square of the admissible displacement's error is at most the gap between the bounds
-    both = before.upper - before.lower, after.upper - after.lower
-    gaps = both[0] if both[0] >= 0 else np.nan, both[1] if both[1] >= 0 else np.nan
-    apart = before.distance, after.distance
-    errors = [float(np.sqrt(2 * gap)) + distance for gap, distance in zip(gaps, apart, strict=True)]
+    both = before, after
+    first, last = (each.upper - each.lower if each.upper >= each.lower else np.nan for each in both)
+    errors = [float(np.sqrt(2 * gap)) + each.distance for gap, each in zip((first, last), both, strict=True)]
     return Certificate(
         lower=after.lower,
         upper=after.upper,
-        gaps=gaps,
+        gaps=(first, last),
         error_bound_initial=errors[0],
         error_bound=errors[1],
         relative_initial=errors[0] / max(before.norm, 1e-300),

@@ -173,6 +173,25 @@ def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> 
     assert not found.bounds[needle].guaranteed
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_window_has_the_force_of_the_pressure_in_it(order: int) -> None:
+    """Of a uniform pressure exactly, wherever the nodes are: two of them lie 0.5 apart."""
+    block = ContactProblem(
+        rectangle(4, 1, x=(0, 2)),
+        PlaneStrain(1.0, 1.0),
+        (Dirichlet("left", (0.0, None)),),
+        Obstacle.graph("bottom", 0.0),
+        tractions=(Traction("top", (0.0, -3.0)),),
+        order=order,
+    )
+    windows = {"where((x - 0.93)*(x - 1.03) < 0, 10, 0)": 3.0, "where(x > 0.99, 1, 0)": 3.03, "x": 6.0}
+    texts = {f"pressure(bottom, {weight})": force for weight, force in windows.items()}
+    found = certify(fixed.solve(block), quantities=[*texts]).bounds
+    for text, force in texts.items():
+        assert found[text].value == pytest.approx(force, rel=1e-8)
+        assert found[text].lower < force * (1 + 1e-8)
+
+
 @pytest.mark.slow
 def test_what_is_not_proved_under_the_load_of_a_quantity_does_not_bound_it(monkeypatch) -> None:
     build, given = certifying.refined_bracket, solved_body(2, 1, 0.0).problem.tractions
