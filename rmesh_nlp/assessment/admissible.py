@@ -199,7 +199,7 @@ class Continuous:
         T = sp.vstack([self._bare.normals[:0], *map(self._rows, rubbing, tangents)], "csr")[:, last]
         bound = np.zeros(0)
         for each in rubbing:
-            own = on_points(each.contact.obstacle.friction_law.given, each.points)
+            own = on_points(each.contact.obstacle.friction_law.given, each.points, "the friction bound")
             bound = np.append(bound, own * each.measures(self.problem))
         rubs = (np.diff(T.indptr) > 0) & (bound > 0)
 

@@ -25,6 +25,7 @@ from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
 from rmesh_nlp.certificate.polynomials import powers
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.standoff import LATTICES, SAMPLES
+from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import PROVED, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
@@ -102,14 +103,15 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     for part in parts:
         obstacle = part.obstacle
         edges = Edges(skeleton.body, part.edges)
-        gap = integrals(obstacle.clearance, skeleton, part.edges, 2, problem.order)
+        with located(f"the obstacle on {obstacle.boundary!r}"):
+            gap = integrals(obstacle.clearance, skeleton, part.edges, 2, problem.order)
+            is_certain &= gap.is_certain and is_seen(obstacle.clearance, edges)
+            if n == 2:
+                below, known = _linear_below(product(problem.measure, obstacle.friction_law.given), edges)
+                friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
+                coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, edges, degree).T
+                is_certain &= known
         offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
-        is_certain &= gap.is_certain and is_seen(obstacle.clearance, edges)
-        if n == 2:
-            below, known = _linear_below(product(problem.measure, obstacle.friction_law.given), edges)
-            friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
-            coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, edges, degree).T
-            is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
     supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, coulomb, axes)
     return Conditions(*supports, traction, contact, *gaps, parts, inside, is_certain)
@@ -126,11 +128,12 @@ def _given_displacement(
         for i, coefficient in enumerate(support.value):
             if coefficient is None:
                 continue
-            part = integrals(coefficient, skeleton, edges, 2, problem.order)
-            held[i, edges], given[i][:, edges] = True, part.moments
             sides = Edges(skeleton.body, edges)
-            at_nodes = _at_nodes(coefficient, sides, problem.order)
-            owner, s, values, is_seen = _samples(coefficient, sides)
+            with located(f"the displacement given on {support.boundary!r}"):
+                part = integrals(coefficient, skeleton, edges, 2, problem.order)
+                at_nodes = _at_nodes(coefficient, sides, problem.order)
+                owner, s, values, is_seen = _samples(coefficient, sides)
+            held[i, edges], given[i][:, edges] = True, part.moments
             own = to_coefficients(problem.order, 2) @ at_nodes[owner].T
             values -= np.sum(functions(problem.order, np.stack([1 - s, s])) * own[:, :, None], axis=0)
             doubt = np.max(part.doubt, initial=doubt)
@@ -177,8 +180,8 @@ def check_normal(obstacle: Obstacle) -> None:
     """Raise a NotCertifiableError unless an obstacle has one normal."""
     if obstacle.level is not None:
         raise NotCertifiableError(
-            "the normal of a curved foundation or pair turns along an edge: --accuracy estimates errors; "
-            "a foundation by its height above x has one normal, and a certificate"
+            "the normal of a curved foundation or pair turns along an edge: --accuracy estimates errors, of "
+            "tools at order 2; a foundation by its height above x has one normal, and a certificate"
         )
 
 

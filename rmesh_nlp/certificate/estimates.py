@@ -37,6 +37,7 @@ from scipy.spatial import cKDTree
 
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
+from rmesh_nlp.certificate.conditions import check_normal
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import of_displacement
 from rmesh_nlp.certificate.hybrid import turned
@@ -255,6 +256,8 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
         np.add.at(component, load.nodes, moments * load.measure)
     if text in tools:
         component, place = tools[text]
+        if on.problem.order == 1:
+            check_normal(on.problem.obstacles[on.problem.tools[place]])
         push[component, space.n_nodes + place] = 1.0
     acting = load.balanced * load.measure, push[:, space.n_nodes :]
     return Quantity(float(np.sum(push * on.u)), on.dual(gap, push), acting)
@@ -280,8 +283,9 @@ def unknown(problem: ContactProblem) -> tuple[str, ...]:
     texts = list[str]()
     for each in problem.obstacles:
         if each.force is not None:
-            along = zip("xy", each.force, strict=True)
-            texts += [f"tool_{axis}({each.boundary})" for axis, part in along if part]
+            texts += [
+                f"tool_{axis}({each.boundary})" for axis, part in zip("xy", each.force, strict=True) if part
+            ]
         elif isinstance(each.boundary, str):
             texts.append(f"resultant({each.boundary})")
     return tuple(texts) or (ENERGY,)

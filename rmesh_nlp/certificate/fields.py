@@ -211,6 +211,6 @@ class TraceFields:
         lowered = np.linalg.pinv(elevation(pieces.degree + 1, 3))
         out[0] -= np.einsum("gf,pfve->pge", lowered, field[:, :, 3:])
         share = pieces.shares[:, None, None] * areas
-        largest = max(magnitude(part) for part in (self.forces(field), load * areas))
+        largest = max(map(magnitude, (self.forces(field), load * areas)))
         violations = out * share, pieces.faults(field, corners)
-        return max(magnitude(part) for part in violations) / max(largest, 1e-300)
+        return max(map(magnitude, violations)) / max(largest, 1e-300)

@@ -14,6 +14,7 @@ import numpy as np
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
 from rmesh_nlp.certificate.polynomials import projection
 from rmesh_nlp.certificate.skeleton import Skeleton
+from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.fem.bernstein import functions, size
 from rmesh_nlp.problem import ContactProblem
@@ -108,7 +109,8 @@ def _loads(
         unmet = np.zeros(len(cells))  # mean square of what the best approximation leaves
         for i, one in enumerate(coefficients):
             coefficient = product(problem.measure, one)
-            part = integrals(coefficient, skeleton, cells, vertices, problem.order)
+            with located(f"component {i + 1} of a load"):
+                part = integrals(coefficient, skeleton, cells, vertices, problem.order)
             value[i][:, cells] += part.moments
             doubt[i][:, cells] += part.doubt
             is_certain &= part.is_certain

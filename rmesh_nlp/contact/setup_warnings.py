@@ -21,6 +21,7 @@ from rmesh_nlp.meshes.curves import FITTED, fitted
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.laws import LOCKING
 from rmesh_nlp.problem.units import after
@@ -44,7 +45,7 @@ class SetupWarning(NamedTuple):
     ----------
     kind : str
         A short name: overlap, open, away, all-touching, unresolved, penetration, large, tiny, locking,
-        load, point-load, round.
+        load, idle, point-load, round.
     message : str
         One sentence for people, with the figure that it rests on.
     """
@@ -94,7 +95,7 @@ def setup_warnings(
     scale = extent if problem.components == 2 else max(magnitude(u), 1e-300)
     return (
         *_problem(problem),
-        *_loads(problem, model.system(nodes), accurate),
+        *_loads(model, model.system(nodes), accurate),
         *_sizes(problem, u, extent),
         *(
             sign
@@ -110,9 +111,11 @@ def penetration_warnings(penetrations: Sequence[Penetration]) -> Iterator[SetupW
     """Where foundations pass into the body between contact nodes."""
     for part in penetrations:
         if part.ratio > NEGLECTED:
-            text = f"between its nodes {_name(part.contact)} passes into the foundation by {part.ratio:.0%} "
-            text += f"of an edge (more than {NEGLECTED:.0%}): refine it where the foundation is curved"
-            yield SetupWarning("penetration", text)
+            yield SetupWarning(
+                "penetration",
+                f"between its nodes {_name(part.contact)} passes into the foundation by {part.ratio:.0%} "
+                f"of an edge (more than {NEGLECTED:.0%}): refine it where the foundation is curved",
+            )
 
 
 def _contact(
@@ -124,18 +127,26 @@ def _contact(
     name, n, unit = _name(part), touching.size, after(problem.units.length)
     inside = offset < -1e-9 * scale
     if np.any(inside) and obstacle.force is obstacle.displacement is None and not obstacle.other:
-        text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
-        text += f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
-        yield SetupWarning("overlap", text + "foundation where it should be?")
+        yield SetupWarning(
+            "overlap",
+            f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
+            f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
+            "foundation where it should be?",
+        )
     if not np.any(touching):
         yield _open(problem, name, offset, change, scale)
     elif np.all(touching) and n >= FEW and not obstacle.other:
-        text = f"all {n} nodes of {name} touch the foundation: the edge of the contact is not on it; a given "
-        text += "displacement may be what is meant, or a longer contact boundary"
-        yield SetupWarning("all-touching", text)
+        yield SetupWarning(
+            "all-touching",
+            f"all {n} nodes of {name} touch the foundation: the edge of the contact is not on it; a given "
+            "displacement may be what is meant, or a longer contact boundary",
+        )
     elif touching.sum() <= (FEW - 1) * problem.order and problem.components == 2:
-        text = f"only {touching.sum()} of {n} nodes of {name} touch the foundation: the mesh is too coarse "
-        yield SetupWarning("unresolved", text + "there for pressures")
+        yield SetupWarning(
+            "unresolved",
+            f"only {touching.sum()} of {n} nodes of {name} touch the foundation: the mesh is too coarse "
+            "there for pressures",
+        )
 
 
 def _open(problem: ContactProblem, name: str, offset: Array, change: Array, extent: float) -> SetupWarning:
@@ -146,8 +157,7 @@ def _open(problem: ContactProblem, name: str, offset: Array, change: Array, exte
     if problem.components == 2 and nearest > extent:
         return SetupWarning("open", f"{text}; the foundation is farther off than the body is long")
     if moved > 0 and np.min(change) >= -1e-3 * moved:
-        text += "; the load moves it away from the foundation: is its sign right?"
-        return SetupWarning("away", text)
+        return SetupWarning("away", f"{text}; the load moves it away from the foundation: is its sign right?")
     text += f"; it moves by {moved:.2g} where the gap is {nearest:.2g}: check units"
     return SetupWarning("open", text)
 
@@ -155,11 +165,17 @@ def _open(problem: ContactProblem, name: str, offset: Array, change: Array, exte
 def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
     """What needs no solution: materials that lock, point loads."""
     for poisson in problem.locking:
-        text = f"Poisson's ratio is {poisson:.4g}: linear triangles lock above {LOCKING}, "
-        yield SetupWarning("locking", text + "and displacements come out too small")
+        yield SetupWarning(
+            "locking",
+            f"Poisson's ratio is {poisson:.4g}: linear triangles lock above {LOCKING}, "
+            "and displacements come out too small",
+        )
     if problem.point_loads:
-        text = "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
-        yield SetupWarning("point-load", text + "refined, so compare energies on this mesh only")
+        yield SetupWarning(
+            "point-load",
+            "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
+            "refined, so compare energies on this mesh only",
+        )
 
 
 def curve_warnings(problem: ContactProblem, names: Iterable[str | Place] = ()) -> Iterator[SetupWarning]:
@@ -219,18 +235,31 @@ def _sizes(problem: ContactProblem, u: Array, extent: float) -> Iterator[SetupWa
         yield SetupWarning("tiny", f"{said}: check units (modulus, loads, lengths)")
 
 
-def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | None) -> Iterator[SetupWarning]:
-    varying = any(callable(c) for law in problem.laws for c in law.load)
-    given = bool(problem.tractions) or any(callable(c) or c != 0 for law in problem.laws for c in law.load)
-    if given and not np.any(system.load):  # which has what given displacements pull
-        text = "the loads vanish on this mesh: do they use the same lengths as the mesh?"
-        yield SetupWarning("load", text)
+def _loads(model: ContactSolver, system: ContactSystem, accurate: Array | None) -> Iterator[SetupWarning]:
+    problem, index = model.problem, model.displacement.index
+    loads = [part for law in problem.laws for part in law.load]
+    varying = any(map(callable, loads))
+    for traction in problem.tractions:
+        nodes = model.discretisation.space.nodes_of(edges_on(problem.mesh, traction.boundary))
+        for i, part in enumerate(traction.value):
+            if np.any(index[i, nodes] >= 0):
+                loads.append(part)
+            elif is_nonzero(part):
+                yield SetupWarning(
+                    "idle",
+                    f"component {i + 1} of the traction on {traction.boundary!r} has no effect: "
+                    "the displacement is given there in this component",
+                )
+    if any(map(is_nonzero, loads)) and not np.any(system.load):  # which has what given displacements pull
+        yield SetupWarning("load", "the loads vanish on this mesh: do they use the same lengths as the mesh?")
     elif accurate is not None and varying:
         wrong = float(np.sum(np.abs(system.load - accurate)) / max(np.sum(np.abs(accurate)), 1e-300))
         if wrong > NEGLECTED:
-            text = f"the nodal loads are wrong by {wrong:.0%}: the load varies on a scale that the mesh with "
-            text += f"the rule {problem.quadrature!r} does not see; refine, or raise quadrature"
-            yield SetupWarning("load", text)
+            yield SetupWarning(
+                "load",
+                f"the nodal loads are wrong by {wrong:.0%}: the load varies on a scale that the mesh with "
+                f"the rule {problem.quadrature!r} does not see; refine, or raise quadrature",
+            )
 
 
 def _name(part: ContactSet) -> str:

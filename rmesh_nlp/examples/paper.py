@@ -195,8 +195,11 @@ class _Examples(dict[str, Callable[..., ContactProblem]]):
     def __missing__(self, name: str) -> Callable[..., ContactProblem]:
         if not isinstance(name, str):
             raise BadInputError(f"the name of an example must be a text, got {name!r}")
-        said = f"{unknown('example', name, self)}, or a problem file, as {name}.toml"
-        raise BadInputError(f"{said} (of a mesh: rmesh new my.toml --mesh MESH writes one)", "example")
+        raise BadInputError(
+            f"{unknown('example', name, self)}, or a problem file, as {name}.toml (of a mesh: "
+            "rmesh new my.toml --mesh MESH writes one)",
+            "example",
+        )
 
 
 EXAMPLES = _Examples({"6.1": example_61, "6.2": example_62, "6.3": example_63})

@@ -127,7 +127,7 @@ def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
     """Minus the work of source or body force, tractions, point loads and forces on tools."""
     groups = []
     for law, cell, local, _ in _cells(on):
-        if not any(is_nonzero(component) for component in law.load):
+        if not any(map(is_nonzero, law.load)):
             continue
         if isinstance(cell, Straight):
             function, at_points = load_energy(law, cell, rule)

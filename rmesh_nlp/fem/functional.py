@@ -80,7 +80,7 @@ class Functional:
 
 def _total(groups: Sequence[ElementGroup]) -> Callable[[Array], float]:
     values = element_values(groups)
-    return lambda x: float(sum(np.sum(part) for part in values(x)))
+    return lambda x: float(sum(map(np.sum, values(x))))
 
 
 def as_row(group: ElementGroup, row: int) -> ElementGroup:

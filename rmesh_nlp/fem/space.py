@@ -164,7 +164,7 @@ class DisplacementSpace:
         held[:, np.setdiff1d(np.arange(held.shape[1]), self.problem.mesh.t)] = True  # on no triangle
         if self.order == 2:
             of_edges = self._given_at_edges(value)
-            held, value = (np.hstack(pair) for pair in zip((held, value), of_edges, strict=True))
+            held, value = map(np.hstack, zip((held, value), of_edges, strict=True))
         tools = self.problem.tools_held
         return np.hstack([held, tools]), np.hstack([value, np.zeros(tools.shape)])
 

@@ -18,6 +18,7 @@ from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_messages import ProblemFileError, Source
 from rmesh_nlp.io.problem_schema import ProblemTable
+from rmesh_nlp.meshes.reading import FORMATS
 from rmesh_nlp.problem import ContactProblem
 
 if sys.version_info >= (3, 11):
@@ -79,6 +80,8 @@ def read_tables(path: str | Path, kind: type[T]) -> T:
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file as they stand there; an expression without quotes is named in the error."""
     meant = f"; a problem file is meant, as {path}.toml (of a mesh: rmesh new my.toml --mesh MESH writes one)"
+    if path.suffix.lower() in FORMATS:
+        meant = f"; it is a mesh: rmesh new {path.stem}.toml --mesh {path} writes a problem file"
     meant *= path.suffix != ".toml"
     try:
         raw = path.read_bytes()

@@ -205,7 +205,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
     mobility = np.full(mesh.p.shape[1], int(Mobility.FREE))
     mobility[on_line] = Mobility.PINNED
     mobility[np.any(tangent != 0, axis=0)] = Mobility.SLIDING
-    varying = [d.boundary for d in problem.supports if any(callable(value) for value in d.value)]
+    varying = [d.boundary for d in problem.supports if any(map(callable, d.value))]
     held = problem.boundary_nodes(*varying).tolist()
     loaded = [load.node for load in problem.point_loads]
     mobility[problem.kink_nodes] = Mobility.PINNED

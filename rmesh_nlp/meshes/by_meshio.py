@@ -58,12 +58,13 @@ def _by_meshio(path: Path, kind: str, copy: Path) -> meshio.Mesh:
     """
     markers = dict[str, int]()
     if kind in ("nastran", "su2"):
-        text = re.sub(r"%.*|[ \t]*(=)[ \t]*", r"\1", path.read_text("utf-8", "replace"))
-        text = re.sub(
-            "(?<=MARKER_TAG=).*",
-            lambda tag: f"{markers.setdefault(tag[0].strip(), len(markers) + 1)}",
-            text,
-        )
+        text = path.read_text("utf-8", "replace")
+        if kind == "su2":  # slow where columns are filled with blanks
+            text = re.sub(
+                "(?<=MARKER_TAG=).*",
+                lambda tag: f"{markers.setdefault(tag[0].strip(), len(markers) + 1)}",
+                re.sub(r"%.*|[ \t]*(=)[ \t]*", r"\1", text),
+            )
         copy.write_text(f"BEGIN BULK\n{text}\nEND=\n", "utf-8")
         path = copy
     made = getattr(meshio, kind.partition("-")[0]).read(path)

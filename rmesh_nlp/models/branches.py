@@ -111,7 +111,7 @@ def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
     constraints = sp.vstack([sp.csr_array(total(at.jacobian[first + own].toarray())), areas])
     slope = total(at.slope)
     second = total(at.jacobian[program.rows["H"].start + at.pairs].toarray())
-    if not all(is_finite(part) for part in (slope, second, constraints.data)):
+    if not all(map(is_finite, (slope, second, constraints.data))):
         return None
     # the members a and b in units of their changes for changes of d of one
     by_q, by_a = np.sum(np.abs(second[:, :n]), axis=1), np.abs(second[:, n:])

@@ -59,7 +59,7 @@ def weights(regularisation: float | str | Sequence[float], name: str = "regulari
     text = regularisation.split(",") if isinstance(regularisation, str) else regularisation
     given = text if isinstance(text, Sequence) else (text,)
     try:
-        values = tuple(float(value) for value in given)
+        values = tuple(map(float, given))
     except (TypeError, ValueError):
         raise BadInputError(
             f"{name} must be a number or a list of numbers, got {regularisation!r}", name

@@ -138,12 +138,12 @@ class _Reader:
     def read(self) -> Rows:
         header = self.records.header
         n, m = int(header[1][0]), int(header[1][1])
-        if any(int(count) for count in header[6][:5]):
+        if any(map(int, header[6][:5])):
             raise ValueError("integer unknowns are not supported")
         if not 0 <= min(n, m) <= max(n, m) <= _MOST:
             raise ValueError(f"{n} unknowns and {m} rows")
         names, free = _names(self.path, ".col", n), np.full(n, np.inf)
-        x = ca.vertcat(*(ca.SX.sym(name) for name in names)) if names else ca.SX.sym("x", n)
+        x = ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX.sym("x", n)
         self.values: list[ca.SX] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
         self.rows = Rows(
             x, [ca.SX(0)] * m, np.full(m, -np.inf), np.full(m, np.inf), -free, free, np.zeros(n), ca.SX(0),

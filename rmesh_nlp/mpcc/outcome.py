@@ -172,7 +172,7 @@ def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
     column, jacobian = base.jac_g(x, p)
     places = ["f", *(f"{part}[{i}]" for part in "gGH" for i in range(getattr(mpcc, part).shape[0]))]
     values, derivatives = flat(ca.vertcat(f, column)), ca.vertcat(gradient.T, jacobian)
-    rows, columns = (np.asarray(part) for part in derivatives.sparsity().get_triplet())
+    rows, columns = map(np.asarray, derivatives.sparsity().get_triplet())
     slopes = np.asarray(derivatives.nonzeros())
     if not is_finite(values):
         row = int(np.argmin(np.isfinite(values)))

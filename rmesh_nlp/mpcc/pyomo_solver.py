@@ -35,7 +35,7 @@ class PyomoSolver(ASL):
         return _NAME  # no other process is started
 
     def _get_version(self) -> tuple[int, ...]:
-        return tuple(int(part) for part in __version__.split(".")[:3])
+        return tuple(map(int, __version__.split(".")[:3]))
 
     def solve(self, model: Any, **keywords: Any) -> Any:
         """As any solver of Pyomo; the model keeps its conditions and its bounds."""

@@ -86,7 +86,7 @@ def _options(rows: Rows, n_duals: int) -> list[str]:
         options[0] = str(k + 2)
     n = rows.x.shape[0]
     counts = [len(rows.bodies), n_duals, n, n]
-    return ["Options", *options[: k + 1], *(str(count) for count in counts), *tolerance]
+    return ["Options", *options[: k + 1], *map(str, counts), *tolerance]
 
 
 def _numbers(values: Array) -> list[str]:

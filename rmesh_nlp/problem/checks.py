@@ -30,8 +30,10 @@ def check(problem: ProblemData) -> None:
         raise ProblemError("order", f"the order of displacements must be 1 or 2, got {problem.order!r}")
     rule = problem.quadrature
     if rule not in RULE_NAMES and not (type(rule) is int and 1 <= rule <= LARGEST_DEGREE):
-        said = f"quadrature must be 'auto', 'midpoint' or a degree from 1 to {LARGEST_DEGREE}, got {rule!r}"
-        raise ProblemError("quadrature", said)
+        raise ProblemError(
+            "quadrature",
+            f"quadrature must be 'auto', 'midpoint' or a degree from 1 to {LARGEST_DEGREE}, got {rule!r}",
+        )
     if wrong := fault(problem.mesh):
         raise ProblemError("mesh", wrong)
     check_names(problem)
@@ -44,8 +46,10 @@ def check(problem: ProblemData) -> None:
     for contact in problem.contact_sets:
         _check_given_gaps(problem, contact)
         if contact.nodes.size == 0:
-            said = "no node of the contact set is free to move: all are fixed"
-            raise ProblemError(("contact", contact.number, "boundary"), said)
+            raise ProblemError(
+                ("contact", contact.number, "boundary"),
+                "no node of the contact set is free to move: all are fixed",
+            )
     _check_shared_nodes(problem)
     _check_rigid_motions(problem)
 
@@ -65,8 +69,10 @@ def check_pairs(problem: ProblemData) -> None:
 def check_names(problem: ProblemData) -> None:
     """Raise a ProblemError if a part of the problem names a boundary that the mesh has not."""
     if not problem.dirichlet and not problem.obstacles:
-        said = "at least one boundary must be held (dirichlet), or the energy has no minimum"
-        raise ProblemError("dirichlet", said)
+        raise ProblemError(
+            "dirichlet",
+            "at least one boundary must be held (dirichlet), or the energy has no minimum",
+        )
     motion, places = problem.motion, [obstacle.boundary for obstacle in problem.obstacles]
     used: list[tuple[Any, Place]] = [
         *((support.boundary, ("dirichlet", support.boundary)) for support in problem.supports),
@@ -93,9 +99,11 @@ def _check_contact_edges(problem: ProblemData) -> None:
         if isinstance(obstacle.boundary, str):
             for edge in np.setdiff1d(mesh.boundaries[obstacle.boundary], mesh.boundary_facets()):
                 a, b = mesh.facets[:, edge]
-                said = f"{obstacle.boundary!r} has an edge inside the body, between nodes {a} and {b}"
-                said += ": contact is on the outer boundary"
-                raise ProblemError(("contact", number, "boundary"), said)
+                raise ProblemError(
+                    ("contact", number, "boundary"),
+                    f"{obstacle.boundary!r} has an edge inside the body, between nodes {a} and {b}"
+                    ": contact is on the outer boundary",
+                )
 
 
 def _check_laws(problem: ProblemData) -> None:
@@ -103,8 +111,10 @@ def _check_laws(problem: ProblemData) -> None:
         _check_regions(problem, problem.law)
     node = int(np.argmin(problem.mesh.p[0]))
     if problem.axisymmetric and problem.mesh.p[0, node] < 0 and not problem.on_axis[node]:
-        said = f"a body of revolution has x = r >= 0, got {problem.mesh.p[0, node]:.6g} at node {node}"
-        raise ProblemError("mesh", said)
+        raise ProblemError(
+            "mesh",
+            f"a body of revolution has x = r >= 0, got {problem.mesh.p[0, node]:.6g} at node {node}",
+        )
 
 
 def _check_regions(problem: ProblemData, laws: Mapping[str, Law]) -> None:
@@ -112,8 +122,10 @@ def _check_regions(problem: ProblemData, laws: Mapping[str, Law]) -> None:
     for name in laws:
         count[members_of("subdomain", name, problem.mesh.subdomains, ("materials", name))] += 1
     for element in np.flatnonzero(count != 1):
-        said = f"element {element} has {count[element]} laws: every element needs exactly one"
-        raise ProblemError("materials", said)
+        raise ProblemError(
+            "materials",
+            f"element {element} has {count[element]} laws: every element needs exactly one",
+        )
     if len({law.components for law in problem.laws}) != 1:
         raise ProblemError("materials", "the laws of the subdomains mix scalar and elastic problems")
     if len({(law.measure, law.axisymmetric) for law in problem.laws}) != 1:
@@ -125,8 +137,10 @@ def _check_values(problem: ProblemData) -> None:
     n = problem.components
     for place, what, values, points in _given(problem):
         if len(values) != n:
-            said = f"{what}, {values}, has {len(values)} components: it needs {n} value{'s' * (n > 1)}"
-            raise ProblemError(place, said)
+            raise ProblemError(
+                place,
+                f"{what}, {values}, has {len(values)} components: it needs {n} value{'s' * (n > 1)}",
+            )
         for i, value in enumerate(values, 1):
             if value is not None:
                 _values(place, value, points, what if n == 1 else f"component {i} of {what}")
@@ -146,8 +160,10 @@ def _given(problem: ProblemData) -> Iterator[tuple[Place, str, Sequence[Coeffici
         yield ("dirichlet", on), f"the displacement given on {on!r}", support.value, _along(problem, on)
     for number, load in enumerate(problem.point_loads):
         if not 0 <= load.node < problem.n_vertices:
-            said = f"a point load names node {load.node}, which the mesh has not"
-            raise ProblemError(("point_loads", number), said)
+            raise ProblemError(
+                ("point_loads", number),
+                f"a point load names node {load.node}, which the mesh has not",
+            )
         what, point = f"the point load at node {load.node}", problem.mesh.p[:, [load.node]]
         yield ("point_loads", number, "force"), what, load.force, point
     for number, obstacle in enumerate(problem.obstacles):
@@ -169,8 +185,10 @@ def _check_contact_values(problem: ProblemData) -> None:
             least = int(np.argmin(values))
             if values[least] < 0:
                 x, y = points[:, least]
-                said = f"{what} must not be negative, got {values[least]:.6g} at ({x:.6g}, {y:.6g})"
-                raise ProblemError(("contact", number, key), said)
+                raise ProblemError(
+                    ("contact", number, key),
+                    f"{what} must not be negative, got {values[least]:.6g} at ({x:.6g}, {y:.6g})",
+                )
 
 
 def _values(place: Place, value: Coefficient, points: Array, what: str) -> Array:
@@ -226,16 +244,20 @@ def _check_tools(problem: ProblemData) -> None:
             raise ProblemError(place, "a tool on a body of revolution moves along y, the axis, only")
         if obstacle.force is not None and fixed.size > 1:
             on = repr(obstacle.boundary)
-            said = f"the displacements of nodes {fixed[0]} and {fixed[1]} of {on} are given; "
-            said += "a tool meets one such node at most: end the contact boundary before them"
-            raise ProblemError((*place, "boundary"), said)
+            raise ProblemError(
+                (*place, "boundary"),
+                f"the displacements of nodes {fixed[0]} and {fixed[1]} of {on} are given; "
+                "a tool meets one such node at most: end the contact boundary before them",
+            )
         if obstacle.displacement is not None and obstacle.friction_law:
             moved = np.array(obstacle.displacement)
             along = cross(moved[:, None], obstacle.normals(problem.mesh.p[:, nodes]))
             if magnitude(along) > ROUNDING * magnitude(moved):
-                said = f"with friction a foundation can be moved along its normal only, not by {moved}: "
-                said += "move what holds the body the other way (dirichlet), or press it by a force"
-                raise ProblemError((*place, "displacement"), said)
+                raise ProblemError(
+                    (*place, "displacement"),
+                    f"with friction a foundation can be moved along its normal only, not by {moved}: "
+                    "move what holds the body the other way (dirichlet), or press it by a force",
+                )
 
 
 def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
@@ -280,8 +302,10 @@ def _check_rigid_motions(problem: ProblemData) -> None:
     motions = rigid_motions(problem)
     if len(free := kernel(seen_by_contact(problem, motions))):
         if (tool := tool_of(problem, free[0])) is not None:
-            said = f"contact does not prevent a {in_words(problem, free[0])}: move it across its face only"
-            raise ProblemError(("contact", tool, "move"), said)
+            raise ProblemError(
+                ("contact", tool, "move"),
+                f"contact does not prevent a {in_words(problem, free[0])}: move it across its face only",
+            )
         raise ProblemError(
             "dirichlet",
             f"the mesh can still move as a rigid body, by {in_words(problem, free[0])}: the given "

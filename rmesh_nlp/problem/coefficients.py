@@ -62,9 +62,14 @@ NOT_SYMBOLIC = (
 def at(coefficient: Coefficient, x: Expression, y: Expression) -> Expression:
     """Value of a coefficient at a point; a ValueError says what to use instead of branches and ``math``."""
     value = _called(coefficient, x, y) if callable(coefficient) else coefficient
-    is_one = isinstance(value, Real) or getattr(value, "shape", None) in ((), (1,), x.shape)
-    if isinstance(x, ca.SX | ca.MX) and not is_one:
-        raise BadInputError(f"one number is needed, got {one_line(repr(value))[:60]}")
+    if isinstance(x, ca.SX | ca.MX):
+        is_one = isinstance(value, Real) or getattr(value, "shape", None) in ((), (1,), x.shape)
+        try:
+            ca.densify(value)
+        except NotImplementedError:  # for CasADi it is no number
+            is_one = False
+        if not is_one:
+            raise BadInputError(f"one number is needed, got {one_line(repr(value))[:60]}")
     return value
 
 
@@ -103,7 +108,7 @@ def product(measure: Coefficient, coefficient: Coefficient) -> Coefficient:
     return lambda x, y: at(measure, x, y) * at(coefficient, x, y)
 
 
-def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
+def on_points(coefficient: Coefficient, points: NDArray, what: str = "the function") -> Array:
     """Values (...) of a coefficient at ``points`` (2, ...); a ValueError if one is not finite."""
     with located(what):
         if callable(coefficient):

@@ -132,21 +132,26 @@ class ContactProblem(Shown, ProblemData):
     def _check_design(self) -> None:
         """Whether the names are known, and the problem makes sense at the first design."""
         names = [variable.name for variable in self.design]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise ProblemError("design", f"two design variables are named {twice!r}")
+        for name in names:
+            if names.count(name) > 1:
+                raise ProblemError("design", f"two design variables are named {name!r}")
         parts = (*self.laws, *self.tractions, *self.point_loads, *self.obstacles, *self.supports)
         for name in sorted({name for part in parts for name in names_in(part)} - set(names)):
             raise ProblemError("design", f"{name!r} is no design variable: choose from {', '.join(names)}")
         for support in self.supports:
             if used := names_in(support):
-                said = f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}"
-                raise ProblemError(("dirichlet", support.boundary), said)
+                raise ProblemError(
+                    ("dirichlet", support.boundary),
+                    f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}",
+                )
         for obstacle in self.obstacles:
             on_arcs = obstacle.boundary in self.motion.curves and not obstacle.other
             if on_arcs and (used := names_in(obstacle)):
-                said = f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend"
-                raise ProblemError("design", f"{said} on a design variable yet, as {used[0]!r} does")
+                raise ProblemError(
+                    "design",
+                    f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend "
+                    f"on a design variable yet, as {used[0]!r} does",
+                )
         check_names(self)
         self.at_design()
 
@@ -187,15 +192,14 @@ class ContactProblem(Shown, ProblemData):
         for name in step.tools:
             if name not in known:
                 raise ProblemError("tools", f"no tool under a force meets {name!r}")
-        obstacles = (
-            replace(part, force=step.tools.get(str(part.boundary), part.force)) for part in self.obstacles
-        )
         return replace(
             self,
             tractions=changed(self.tractions, step.tractions, "boundary"),
             point_loads=changed(self.point_loads, step.point_loads, "node"),
             dirichlet=changed(self.supports, step.dirichlet, "boundary"),
-            obstacle=tuple(obstacles),
+            obstacle=tuple(
+                replace(part, force=step.tools.get(str(part.boundary), part.force)) for part in self.obstacles
+            ),
             steps=(),
             origin=origin,
         )
@@ -241,15 +245,14 @@ class ContactProblem(Shown, ProblemData):
             rows.append((f"design variable {variable.name}", what))
         rows += [(f"constraint {c.value}", bounds_in_words(*c.bounds)) for c in self.constraints]
         rows += [(f"law of {e.size} triangles", law.in_words(stress)) for law, e in self.regions]
-        for label, conditions in (("given", self.supports), ("traction", self.tractions)):
-            for c in conditions:
-                rows.append((f"{label} on {c.boundary}", ", ".join(describe(v) for v in c.value)))
-        for load in self.point_loads:
-            rows.append((f"force at node {load.node}", ", ".join(figure(v) for v in load.force)))
+        given = [(f"given on {c.boundary}", c.value) for c in self.supports]
+        given += [(f"traction on {c.boundary}", c.value) for c in self.tractions]
+        given += [(f"force at node {c.node}", c.force) for c in self.point_loads]
+        rows += [(label, ", ".join(map(describe, value))) for label, value in given]
         rows += [("load steps", f"{len(self.steps) + 1}")] * bool(self.steps)
         for part in self.contact_sets:
-            count = f"{part.nodes.size} {'pairs of ' * bool(part.obstacle.other)}nodes"
-            rows.append(("contact", f"{count} {part.obstacle.in_words()}"))
+            nodes = "pairs of nodes, 0 apart," if part.obstacle.other else "nodes"
+            rows.append(("contact", f"{part.nodes.size} {nodes} {part.obstacle.in_words()}"))
         rows += [("contact", "none")] * (not self.contact_sets)
         return [*rows, ("motion", self.motion.in_words())]
 

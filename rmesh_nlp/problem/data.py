@@ -237,8 +237,10 @@ class ProblemData:
                 held[i, nodes], value[i, nodes] = True, given
         if self.components == 2:
             for k in np.flatnonzero(self.on_axis & (np.abs(value[0]) > 0)):
-                said = f"on the axis u_r is 0: node {k} cannot have the given displacement {value[0, k]:g}"
-                raise ProblemError("dirichlet", said)
+                raise ProblemError(
+                    "dirichlet",
+                    f"on the axis u_r is 0: node {k} cannot have the given displacement {value[0, k]:g}",
+                )
             held[0, self.on_axis] = True
         return held, value
 

@@ -119,7 +119,7 @@ class Constraint:
             raise BadInputError(f"{what} be two numbers, got {self.bounds!r}", "bounds")
         if isinstance(pair[1], ca.SX):
             return
-        lower, upper = (float(bound) for bound in pair)
+        lower, upper = map(float, pair)
         if not (lower <= upper and lower < np.inf and upper > -np.inf and np.isfinite([lower, upper]).any()):
             raise BadInputError(f"{what} increase, one of them finite, got {[lower, upper]}", "bounds")
         object.__setattr__(self, "bounds", (lower, upper))

@@ -41,7 +41,8 @@ class Friction:
 
     def bound(self, points: Array, pressure: Array) -> Array:
         """The bound (...) at ``points`` (2, ...) under contact pressures (...)."""
-        return on_points(self.given, points) + on_points(self.slope, points) * np.maximum(pressure, 0.0)
+        slope = on_points(self.slope, points, "Coulomb's coefficient")
+        return on_points(self.given, points, "the friction bound") + slope * np.maximum(pressure, 0.0)
 
     def in_words(self) -> str:
         """Both parts of the bound, or that there is none."""

@@ -97,8 +97,10 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
         worst = int(np.argmax(off))
         if not anywhere and off[worst] > OFF * np.min(lengths(mesh.p, edges_on(mesh, name))):
             x, y = mesh.p[:, nodes[worst]]
-            said = f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
-            raise ProblemError(("curves", name), said)
+            raise ProblemError(
+                ("curves", name),
+                f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve",
+            )
         shifted = off > 100 * EPSILON * largest_side(mesh.p)
         moved[:, nodes[shifted]] = places[:, shifted]
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
@@ -127,7 +129,7 @@ def harmonic_motions(problem: ProblemData) -> Array:
     """
     mesh, displacements = problem.mesh, np.zeros((len(problem.shapes), *problem.mesh.p.shape))
     on_line, tangent = sliding_directions(problem)
-    held = [s.boundary for s in problem.supports if any(callable(value) for value in s.value)]
+    held = [s.boundary for s in problem.supports if any(map(callable, s.value))]
     for moved, shape in zip(displacements, problem.shapes, strict=True):
         given, along, place = nodes_of(mesh, shape.boundary), tangent.copy(), ("design", "shapes", shape.name)
         with contradicting((*place, "motion")):

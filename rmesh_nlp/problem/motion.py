@@ -126,7 +126,7 @@ class Motion(Checked):
         elif self.is_fixed:
             return "no node is relocated"
         else:
-            text = "delta " + " x ".join(figure(v) for v in self.delta)  # type: ignore[union-attr]
+            text = "delta " + " x ".join(map(figure, self.delta))  # type: ignore[arg-type]
         text += f", areas at least {figure(self.min_area_fraction)} of the given ones"
         if self.min_angle > 0:
             text += f", angles at least {figure(self.min_angle)} degrees"

@@ -70,7 +70,7 @@ class Case:
     @property
     def has_energy(self) -> bool:
         """Whether the energies of its records compare; records that failed have none to say otherwise."""
-        return all(has_energy(record) for record in self.records)
+        return all(map(has_energy, self.records))
 
     @property
     def best(self) -> Record | None:

@@ -18,6 +18,7 @@ from rmesh_nlp.io.folder import Manifest, folder_aside
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record, Records
 from rmesh_nlp.io.results import RECORDS, TABLES, Results
+from rmesh_nlp.meshes.reading import FORMATS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.contact_problem import refined
@@ -28,7 +29,7 @@ from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve, build_example, planned
 from rmesh_nlp.study.runner import INTERRUPTED
 
-SUFFIX = ".toml"  # end of the name of a problem file
+SUFFIX = ".toml", *FORMATS  # ends of names of files; those of meshes are refused with what is meant
 REFINEMENTS = 2  # uniform refinements that the problem of a file is compared with
 LARGEST = 20_000  # nodes that they may have
 
@@ -64,8 +65,11 @@ def plan_comparison(
     problems: list[tuple[Values, ContactProblem, Values]] = [
         ({}, problem, {} if text == "energy" else {"objective": text}) for problem, text in own
     ]
-    for name in (name for name in examples if not name.endswith(SUFFIX)):
-        problems.append(({"kind": "example", "example": name, **given}, build_example(name, **given), {}))
+    problems += [
+        ({"kind": "example", "example": name, **given}, build_example(name, **given), {})
+        for name in examples
+        if not name.endswith(SUFFIX)
+    ]
     errors = [text for text in as_tuple(options.get("objective", ())) if parse_objective(text).needs_exact]
     if errors and own:
         raise BadInputError(

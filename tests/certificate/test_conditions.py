@@ -14,6 +14,7 @@ from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.integrals import Loads, body_forces, integrals
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import Skeleton, same_domain, skeleton_of
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
@@ -57,6 +58,26 @@ def test_what_jumps_is_integrated_part_by_part() -> None:
     assert jump.moments[:, 0] == pytest.approx([0.63**2 / 2, (1 - 0.37**2) / 2])
     assert jump.is_certain
     assert not integrals(HIDDEN, *bottom).is_certain
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        (
+            lambda f: {"dirichlet": Dirichlet("left", (0.0, lambda x, y: f(y, x)))},
+            "the displacement given on 'left'",
+        ),
+        (lambda f: {"obstacle": Obstacle("bottom", (0.0, 1.0), f)}, "the obstacle on 'bottom'"),
+        (lambda f: {"obstacle": Obstacle("bottom", (0.0, 1.0), friction=f)}, "the obstacle on 'bottom'"),
+        (lambda f: {"tractions": Traction("top", (0.0, f))}, "component 2 of a load"),
+    ],
+)
+def test_what_is_undefined_between_points_of_the_check_is_named(changes, named: str) -> None:
+    """A function with 0/0 where only the certificate looks."""
+    gap = lambda x, y: ca.if_else(ca.fabs(x - 0.2) < 0.02, ca.log(-1), 1.0)  # noqa: E731
+    problem = plate(**changes(gap))
+    with pytest.raises(BadInputError, match=f"^{named}: the function is nan at"):
+        conditions_of(problem, on(problem))
 
 
 def test_a_friction_bound_is_not_exceeded_where_it_is_low_between_samples() -> None:

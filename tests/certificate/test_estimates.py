@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.estimates import (
     Estimate,
     OnMesh,
@@ -109,6 +110,16 @@ def test_displacement_of_a_tool_under_a_force_is_asked_for_and_corrected() -> No
     error = abs(coarse.computed - fine.value)
     assert abs(coarse.value - fine.value) < error / 4
     assert 0.7 < coarse.error / error < 1.5
+
+
+def test_no_error_is_told_of_the_displacement_of_a_round_tool_at_order_1() -> None:
+    """Both meshes may touch at the same few nodes."""
+    roller = replace(rm.Obstacle.circle("top", (2.0, 4.02), 3.0), force=(0.0, -500.0), move="y")
+    problem = replace(BODY, mesh=rm.shapes.rectangle(8, 2, x=(0, 4)), dirichlet="bottom", obstacle=roller)
+    assert estimated(problem, "resultant(top)")[0].error > 0
+    with pytest.raises(NotCertifiableError, match="of tools at order 2"):
+        estimated(problem, "tool_y(top)")
+    assert estimated(replace(problem, order=2), "tool_y(top)")[0].error > 0
 
 
 @pytest.mark.parametrize("friction", [0.0, 80.0])

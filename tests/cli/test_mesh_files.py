@@ -62,4 +62,6 @@ def test_what_is_no_problem_file_is_told_what_is_meant(rmesh, command: str) -> N
     said = rmesh(command)
     assert said.code == 2
     assert said.err.count("\n") == 1
-    assert f"as {command.split()[1]}.toml (of a mesh: rmesh new my.toml --mesh MESH writes one)" in said.err
+    name = command.split()[1]
+    meant = f"as {name}.toml (of a mesh: rmesh new my.toml --mesh MESH writes one)"
+    assert ("rmesh new body.toml --mesh body.msh" if name == "body.msh" else meant) in said.err

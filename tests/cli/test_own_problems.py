@@ -80,7 +80,7 @@ def test_template_of_two_bodies_is_in_order_and_solves(rmesh) -> None:
     assert rmesh("new two.toml --two-bodies").code == 0
     said = " ".join(rmesh("check two.toml").out.replace("│", " ").split())
     assert "is in order" in said
-    assert "17 pairs of nodes on joint" in said
+    assert "17 pairs of nodes, 0 apart, on joint" in said
     assert "not drawn" not in said
     assert rmesh("solve two.toml --no-figures --out one").code == 0
     assert record()["contact"]["joint"]["normal_force"] == pytest.approx(100, rel=1e-6)

@@ -124,7 +124,7 @@ def test_nodes_that_nearly_coincide_are_put_together_and_the_distance_is_told() 
     with pytest.warns(rm.meshes.MeshRepairWarning, match="on those of 'bottom-1', at most 1e-07 away"):
         problem = pressed(MeshTri(p, mesh.t).with_boundaries(mesh.boundaries))
     ((_, said),) = [row for row in problem.summary() if row[0] == "contact"]
-    assert said == "5 pairs of nodes on bottom-1 and top-0, normal (0, 1), no friction, gap 0"
+    assert said == "5 pairs of nodes, 0 apart, on bottom-1 and top-0, normal (0, 1), no friction, gap 0"
     assert rm.check(problem) == []
 
 

@@ -72,6 +72,10 @@ WRONG = {
     "tiny": {"law": PlaneStrain.from_young(2.16e13, 0.3)},
     "locking": {"law": PlaneStrain.from_young(21600.0, 0.4999)},
     "load": {"tractions": (Traction("load", (0.0, lambda x, y: ca.if_else(x > 1000, 1, 0))),)},
+    "idle": {
+        "dirichlet": ("left", Dirichlet("top", (None, 0.0))),
+        "tractions": Traction("load", (5.0, -1.0)),
+    },
 }
 
 
@@ -84,8 +88,10 @@ def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
         assert kind not in found
         return
     assert kind in found, found
-    if kind in ("overlap", "penetration"):  # of the mesh as given, and of its solution
+    if kind in ("overlap", "penetration", "idle"):  # of the mesh as given, and of its solution
         assert found[kind] in fixed.solve(problem).record()["warnings"]
+    if kind == "idle":
+        assert found[kind].startswith("component 2 of the traction on 'load' has no effect")
     if kind == "tiny":
         assert set(found) == {"tiny", "open"}
         assert all("check units" in message for message in found.values())
@@ -115,6 +121,9 @@ TOE = named(sound().mesh, {"toe": lambda x: (x[1] == 0) & (x[0] > 3.8)})
     [
         ({"law": PlaneStress.from_young(21600.0, 0.4999)}, "locking"),
         (PRESSED | WRONG["load"], "load"),
+        ({"dirichlet": ("left", "top")}, "load"),  # the only one acts where displacements are given
+        ({"dirichlet": ("left", Dirichlet("top", (0.0, None)))}, "idle"),
+        ({"dirichlet": "left", "tractions": Traction("left", (0.0, 0.0))}, "idle"),
         ({"mesh": bent_at_its_end()}, "round"),
         (PRESSED | {"mesh": TOE, "obstacle": Obstacle.graph("toe", -0.05)}, "all-touching"),  # two nodes do
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from fractions import Fraction
 from typing import Any
 
 import casadi as ca
@@ -205,7 +206,10 @@ def test_what_is_no_material_and_no_function_is_refused(make: object, message: s
         make()
 
 
-@pytest.mark.parametrize("value", [None, "10", (1.0, 2.0), np.ones(2), ca.vertcat(1, 2)])
+@pytest.mark.parametrize(
+    "value",
+    [None, "10", (1.0, 2.0), np.ones(2), ca.vertcat(1, 2), np.array("a"), Fraction(1, 2), np.complex128(1j)],
+)
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
@@ -217,7 +221,7 @@ def test_what_is_no_material_and_no_function_is_refused(make: object, message: s
 )
 def test_a_coefficient_is_one_number(changes: Any, named: str, value: Any) -> None:
     parts = {"mesh": rectangle(2, 2), "law": PlaneStrain(1.0, 1.0), "dirichlet": "left"}
-    for given in (lambda x, y: value, *([value] if isinstance(value, str) else [])):
+    for given in (lambda x, y: value, *([value] if isinstance(value, (str, Fraction)) else [])):
         with pytest.raises(ProblemError) as error:
             ContactProblem(**{**parts, "obstacle": Obstacle("bottom"), **changes(given)})
         assert str(error.value) == f"{named}: one number is needed, got {value!r}"
