@@ -81,7 +81,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file as they stand there; an expression without quotes is named in the error."""
     meant = f"; a problem file is meant, as {path}.toml (of a mesh: rmesh new my.toml --mesh MESH writes one)"
     if path.suffix.lower() in FORMATS:
-        meant = f"; it is a mesh: rmesh new {path.stem}.toml --mesh {path} writes a problem file"
+        meant = f"; a problem file is meant: rmesh new {path.stem}.toml --mesh {path} writes one"
     meant *= path.suffix != ".toml"
     try:
         raw = path.read_bytes()
