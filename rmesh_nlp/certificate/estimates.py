@@ -287,7 +287,7 @@ def unknown(problem: ContactProblem) -> tuple[str, ...]:
                 f"tool_{axis}({each.boundary})" for axis, part in zip("xy", each.force, strict=True) if part
             ]
         elif isinstance(each.boundary, str):
-            texts.append(f"resultant({each.boundary})")
+            texts += [f"resultant({each.boundary})"]
     return tuple(texts) or (ENERGY,)
 
 

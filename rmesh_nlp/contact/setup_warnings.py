@@ -243,7 +243,7 @@ def _loads(model: ContactSolver, system: ContactSystem, accurate: Array | None) 
         nodes = model.discretisation.space.nodes_of(edges_on(problem.mesh, traction.boundary))
         for i, part in enumerate(traction.value):
             if np.any(index[i, nodes] >= 0):
-                loads.append(part)
+                loads += [part]
             elif is_nonzero(part):
                 yield SetupWarning(
                     "idle",
