@@ -105,12 +105,7 @@ class Discretisation:
         """(n_u, motions) the rigid motions at vertex positions (2, vertices) that only contact prevents."""
         if not self.floats:
             return None
-        free = self.displacement.index >= 0
-        n = self.space.n_vertices
-        motions = [
-            np.hstack([self.space.points(motion[:, :n]), motion[:, n:]])
-            for motion in rigid_motions(self.problem, nodes)
-        ]
+        free, motions = self.displacement.index >= 0, self.space.rigid_motions(nodes)
         result = np.zeros((self.n_u, len(motions)))
         for k, motion in enumerate(motions):
             result[self.displacement.index[free], k] = motion[free]

@@ -83,7 +83,7 @@ class Continuous:
         sets = self.space.contact_sets
         self.cells = [cells for part in sets for cells in cells_of(body, self.space, part)]
         rubbing = [part for part in sets if part.obstacle.friction_law.has_given]
-        self._rubbing = [(part, body.edges(str(part.obstacle.boundary))) for part in rubbing]
+        self._rubbing = [(part, body.edges_of(part.obstacle)) for part in rubbing]
 
     @cached_property
     def _bare(self) -> ContactSystem:
@@ -250,8 +250,8 @@ class Continuous:
         rounding = np.finfo(float).eps * (abs(self.stiffness) @ np.abs(full) + np.abs(self.load))
         rounding += self._stiffness_doubt @ np.abs(full) / 2
         doubt += float((self._load_doubt + rounding) @ np.abs(full))
-        energies = strain - work + friction, strain, friction, doubt
-        return Admissible(self, system, state, displacement, *energies, penetration)
+        energy = strain - work + friction
+        return Admissible(self, system, state, displacement, energy, strain, friction, doubt, penetration)
 
     @cached_property
     def _raising(self) -> sp.csr_array:
@@ -278,6 +278,7 @@ class Continuous:
         """(gaps,) by how much each free node must keep off more for a displacement (components, nodes)."""
         standoff = np.zeros(self.space.contact_nodes.size + 1)  # the last is that of given ones
         for cells in self.cells:
+            # ufunc.at gives wrong maxima for values that it has to broadcast
             np.maximum.at(standoff, cells.rows, np.tile(cells.missing(displacement), (len(cells.rows), 1)))
         return standoff[:-1]
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import ROUNDING, Array, cross
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.contact_pressure import ContactStress, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.meshes.geometry import angles
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
 
@@ -131,11 +132,9 @@ def _is_sharp(space: DisplacementSpace, part: ContactSet, nodes: Array, vertex: 
     """
     if part.obstacle.friction_law:
         return False
-    at, elements = np.nonzero(space.problem.triangles == vertex)
-    own = space.problem.triangles[:, elements]
-    a, b = (nodes[:, own[(at + turn) % 3, np.arange(at.size)]] - nodes[:, [vertex]] for turn in (1, 2))
-    angles = np.arctan2(np.abs(cross(a, b)), np.sum(a * b, axis=0))
-    return bool(np.sum(angles) <= np.pi / 2 + ROUNDING)
+    triangles = space.problem.triangles
+    own = triangles[:, np.any(triangles == vertex, axis=0)]
+    return bool(np.sum(angles(nodes, own)[own == vertex]) <= np.pi / 2 + ROUNDING)
 
 
 def worse(

@@ -44,18 +44,18 @@ def coulomb_residual(
     parts = [part for part in space.contact_sets if not part.obstacle.friction_law.has_energy]
     if not parts:
         return None
-    weights, force = space.weights(nodes), np.hypot(normal, tangential)
-    size = float(np.max(np.hypot(*displacement)))
+    weights, forces = space.weights(nodes), np.stack([normal, tangential])
     rows = np.concatenate([part.rows for part in parts])
-    total = float(np.sum(force[rows]))
+    force, size = np.hypot(*forces[:, rows]), float(np.max(np.hypot(*displacement)))
+    total = float(np.sum(force))
     if total == 0 or size == 0:
         return 0.0
-    length = float(np.sum(weights[rows][force[rows] > ROUNDING * np.max(force[rows])]))
+    length = float(np.sum(weights[rows][force > ROUNDING * np.max(force)]))
     body, integral, origin = Body(space.problem, nodes), 0.0, space.problem.origin
     moved = displacement if origin is None else displacement - origin
     for part in parts:
         stresses = np.zeros((2, space.n_nodes))
-        stresses[:, part.nodes] = np.stack([normal[part.rows], tangential[part.rows]]) / weights[part.rows]
+        stresses[:, part.nodes] = forces[:, part.rows] / weights[part.rows]
         relative = part.relative(moved)[:, : space.n_nodes]
         fields = np.vstack([space.coefficients(stresses), relative])
         integral += _integral(body, space, part, fields, total / length / size)
@@ -69,12 +69,11 @@ def _integral(
     obstacle, edges = part.obstacle, body.edges_of(part.obstacle)
     on_edges = fields[:, space.nodes_of(edges.ends)]
 
-    def sums(which: Index, s: Array, where: Array, weights: Array) -> Array:
-        shares = functions(space.order, np.stack([1 - s, s]))
-        pressure, tau, *u = np.einsum("cvm,vmk->cmk", on_edges[:, :, which], shares)
-        normals = obstacle.normals(where)
+    def sums(rows: Index, shares: Array, where: Array, weights: Array) -> Array:
+        values = np.einsum("cvm,vmk->cmk", on_edges[:, :, rows], functions(space.order, shares))
+        pressure, tau, *u = values
         bound = obstacle.friction_law.bound(where, pressure)
-        slip = cross(u, normals)
+        slip = cross(u, obstacle.normals(where))
         off = np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))
         return np.sum(off * weights, axis=1)[None]
 

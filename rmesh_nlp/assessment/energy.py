@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.assessment.integrals import RINGS, Integral, over_edges, over_triangles
+from rmesh_nlp.assessment.integrals import RINGS, Integral, Integrand, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Edges, gradients
-from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
+from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, product
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.switches import polynomial_degree
@@ -33,7 +33,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
 
             def sums(which: Index, barycentric: Array, where: Array, weights: Array, law: Law = law) -> Array:
                 coordinates = gradients(body.at(which, barycentric)[1])
-                gradient = np.einsum("avmk,vimk->aimk", slopes(space.order, barycentric), coordinates)
+                gradient = np.einsum("avmk,ivmk->aimk", slopes(space.order, barycentric), coordinates)
                 unit = (counts | (not law.varies))[:, space.elements[:, which]]
                 unit = np.einsum("ci,iam->caim", np.eye(len(counts)), unit)
                 slope = np.einsum("caim,akmp->ckaimp", unit, gradient)
@@ -71,7 +71,12 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     for law, elements in problem.regions:
         for i, coefficient in enumerate(law.load):
             if is_nonzero(coefficient) and elements.size:
-                add(i, space.elements[:, elements], _body_load(body, space.order, coefficient, elements))
+                degree = polynomial_degree(product(problem.measure, coefficient))
+                is_curved = np.any(body.is_curved[elements])
+                points = () if degree is None or is_curved else ((degree + space.order + 3) // 2,)
+                tested = _tested(space.order, coefficient)
+                integral = over_triangles(body, elements, tested, points, (coefficient,))
+                add(i, space.elements[:, elements], integral)
     for traction in problem.tractions:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
@@ -83,27 +88,17 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     return load.ravel(), doubt.ravel()
 
 
-def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index) -> Integral:
-    degree = polynomial_degree(coefficient)
-    straight = not np.any(body.is_curved[elements])
-    more = polynomial_degree(body.problem.measure)
-    points = () if degree is None or more is None or not straight else ((degree + more + order + 3) // 2,)
-
-    def sums(_: Index, barycentric: Array, where: Array, weights: Array) -> Array:
-        values = on_points(coefficient, where, "a load") * weights
-        return np.sum(functions(order, barycentric) * values, axis=2)
-
-    return over_triangles(body, elements, sums, points, (coefficient,))
-
-
 def shape_integrals(edges: Edges, coefficient: Coefficient, order: int = 1) -> Integral:
     """Integrals (nodes per edge, edges) of a coefficient times shape functions along edges."""
+    return over_edges(edges, _tested(order, coefficient), (coefficient,))
 
-    def sums(_: Index, s: Array, where: Array, weights: Array) -> Array:
+
+def _tested(order: int, coefficient: Coefficient) -> Integrand:
+    def sums(_: Index, shares: Array, where: Array, weights: Array) -> Array:
         values = on_points(coefficient, where, "a load") * weights
-        return np.sum(functions(order, np.stack([1 - s, s])) * values, axis=2)
+        return np.sum(functions(order, shares) * values, axis=2)
 
-    return over_edges(edges, sums, (coefficient,))
+    return sums
 
 
 def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
@@ -114,16 +109,17 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
     """
     order = displacement.shape[1] - 1
 
-    def slip(rows: Index, s: Array, where: Array) -> Array:
-        normals = obstacle.normals(where)
-        shares = functions(order, np.stack([1 - s, s]))
-        u = sum(displacement[:, i, rows, None] * share for i, share in enumerate(shares))
-        return cross(u, normals)
+    def slip(rows: Index, shares: Array, where: Array) -> Array:
+        u = np.einsum("cvm,vmk->cmk", displacement[:, :, rows], functions(order, shares))
+        return cross(u, obstacle.normals(where))
 
-    def sums(rows: Index, s: Array, where: Array, weights: Array) -> Array:
+    def sums(rows: Index, shares: Array, where: Array, weights: Array) -> Array:
         bound = on_points(obstacle.friction_law.given, where, "the friction bound")
-        return np.sum(bound * np.abs(slip(rows, s, where)) * weights, axis=1)[None]
+        return np.sum(bound * np.abs(slip(rows, shares, where)) * weights, axis=1)[None]
 
-    along = (lambda rows, s: slip(rows, s, edges.at(rows, s)[0])), order if obstacle.level is None else None
-    total = over_edges(edges, sums, (obstacle.friction_law.given,), [along])
+    def along(rows: Index, s: Array) -> Array:
+        return slip(rows, np.stack([1 - s, s]), edges.at(rows, s)[0])
+
+    others = [(along, order if obstacle.level is None else None)]
+    total = over_edges(edges, sums, (obstacle.friction_law.given,), others)
     return total.value[0], total.doubt[0]

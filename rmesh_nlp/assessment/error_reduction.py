@@ -90,19 +90,18 @@ def error_reduction(
     the error falls.
     """
     exact, fall, finest = after.problem.exact, difference(before.energy, after.energy), None
+    size = after.body.nodes.shape[1]
     if exact is not None and np.isfinite(exact.energy) and not after.problem.motion.curves:
         error = difference(after.energy, exact.energy)
         source, bounds = "exact", (error, error) if error > 0 else None
     else:
         source, (bounds, finest) = "refinement", _bounds(after)
-        few = after.body.nodes.shape[1] <= FEW
-        if bounds and few and not np.array_equal(before.problem.triangles, after.problem.triangles):
+        if bounds and size <= FEW and not np.array_equal(before.problem.triangles, after.problem.triangles):
             given, _ = _bounds(before)
             bounds = given and (max(bounds[0], given[0] - fall), max(bounds[1], given[1] - fall))
     if bounds is None or not fall > 0:
         return None, finest
     low, high = bounds
-    size = after.body.nodes.shape[1]
     factors = 1 + fall / high, 1 + fall / low
     reduction = ErrorReduction((low + fall, high + fall), bounds, *factors, source, size, contact_solves)
     return reduction, finest
@@ -144,5 +143,5 @@ def by_certificate(estimated: ErrorReduction, before: float, after: float) -> Er
     if estimated.source == "exact" or not before >= after > 0:
         return estimated
     errors = (before - after, before), (0.0, after)
-    factors = before / after, float("inf")
-    return ErrorReduction(*errors, *factors, "certified", estimated.nodes, estimated.contact_solves)
+    solved = estimated.nodes, estimated.contact_solves
+    return ErrorReduction(*errors, before / after, float("inf"), "certified", *solved)

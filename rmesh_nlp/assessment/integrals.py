@@ -13,20 +13,19 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rmesh_nlp.assessment.parts import AlongEdges, EdgeParts, TriangleParts, edge_parts, triangle_parts
+from rmesh_nlp.assessment.parts import AlongEdges, Parts, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.problem.enclosures import resolved
 from rmesh_nlp.vectorised import CHUNK
 
 Integrand = Callable[[Index, Array, Array, Array], Array]
-"""``(elements (m,), barycentric (3, m, k), points (2, m, k), weights (m, k)) -> sums (rows, m)``; on edges
-s (m, k) in the place of barycentric coordinates."""
-
-OnCells = Callable[[Index, Array, Array, int], Array]
-"""``(owners (m,), low (directions, m), width (m,), order) -> integrals (rows, m)``."""
+"""``(owners (m,), barycentric (2 or 3, m, k), points (2, m, k), weights (m, k)) -> sums (rows, m)``; owners
+are elements, or rows of edges."""
 
 RULES, HIGHER = (4, 6), (6, 10)
 """Gauss points per direction of the rules that are compared, and of those for the cells where the first ones
@@ -73,19 +72,7 @@ def over_triangles(
     rules that are compared in the first place; ``RULES`` by default.
     """
     parts = triangle_parts(body, elements, coefficients)
-
-    def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:
-        x, w = gauss(order)
-        r = low[0, :, None] + width[:, None] * np.repeat(x, order)
-        s = low[1, :, None] + width[:, None] * np.tile(x, order)
-        element, corners = elements[parts.owner[part]], parts.corners[:, :, part]
-        weights = np.outer(width**2 * parts.share[part], np.repeat(w, order) * np.tile(w, order)) * r
-        barycentric = np.einsum("ipm,pmk->imk", corners, np.stack([1 - r, r * (1 - s), r * s]))
-        where, det = body.points(element, barycentric)
-        return integrand(element, barycentric, where, weights * det * body.problem.measured(where))
-
-    vertices = body.points(elements[parts.owner], parts.corners.transpose(0, 2, 1))[0]
-    return _integral(on_cells, parts, elements.size, vertices, coefficients, points)
+    return _integral(body.points, body.problem, elements, integrand, parts, coefficients, points)
 
 
 def over_edges(
@@ -98,33 +85,45 @@ def over_edges(
 
     Edges are split at the zeros of ``others`` too.
     """
-    parts = edge_parts(edges, coefficients, others)
-    begin, length = parts.begin, parts.end - parts.begin
-
-    def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:
-        x, w = gauss(order)
-        owner, width = parts.owner[part], width * length[part]
-        s = begin[part, None] + low[0, :, None] * length[part, None] + np.outer(width, x)
-        where, speed = edges.at(owner, s)
-        return integrand(owner, s, where, np.outer(width, w) * speed * edges.body.problem.measured(where))
-
-    vertices = edges.at(parts.owner, np.stack([begin, parts.end], axis=1))[0]
-    return _integral(on_cells, parts, edges.size, vertices, coefficients)
+    parts, rows = edge_parts(edges, coefficients, others), np.arange(edges.size)
+    return _integral(
+        lambda rows, shares: edges.at(rows, shares[1]),
+        edges.body.problem,
+        rows,
+        integrand,
+        parts,
+        coefficients,
+    )
 
 
 def _integral(
-    on_cells: OnCells,
-    parts: EdgeParts | TriangleParts,
-    size: int,
-    vertices: Array,
+    at: Callable[[Index, Array], tuple[Array, Array]],
+    problem: ContactProblem,
+    owners: Index,
+    integrand: Integrand,
+    parts: Parts,
     coefficients: Iterable[Coefficient],
     points: tuple[int, ...] = (),
 ) -> Integral:
-    """The sums over the cells of parts with vertices (2, parts, 2 or 3), by the ``size`` owners of these."""
-    count, directions = vertices.shape[1], vertices.shape[2] - 1
-    total, doubt = np.zeros((2, 1, count))
+    """The sums over the cells of parts, by the ``owners`` of these: triangles or edges.
+
+    ``at`` has points of owners at barycentric coordinates, and their measure per unit of these.
+    """
+    count, directions, names = parts.owner.size, len(parts.corners) - 1, owners[parts.owner]
+
+    def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:
+        x, w = gauss(order)
+        shares = _barycentric(low, width, _grid(x, directions))
+        weights = np.outer(width**directions * parts.share[part], np.prod(_grid(w, directions), axis=0))
+        weights *= np.sum(shares[-2:], axis=0)
+        shares = np.einsum("ipm,pmk->imk", parts.corners[:, :, part], shares)
+        where, det = at(names[part], shares)
+        return integrand(names[part], shares, where, weights * det * problem.measured(where))
+
+    vertices = at(names, parts.corners.transpose(0, 2, 1))[0]
+    total, doubt = np.zeros((2, 1, owners.size))
     owner, low, width = np.arange(count), np.zeros((directions, count)), np.ones(count)
-    corners = np.stack(np.meshgrid(*([(0, 1)] * directions), indexing="ij")).reshape(directions, -1, 1)
+    corners = _grid((0, 1), directions)
     sizes = {each: 0.0 for each in coefficients if callable(each) and len(points) != 1}
     is_certain = parts.is_certain
     for depth in range(DEEPEST + 1 if count else 0):
@@ -138,18 +137,16 @@ def _integral(
         wrong = np.broadcast_to(wrong, fine.shape)
         split = np.any(wrong > ROUNDING * scale, axis=0)
         split &= depth < DEPTH or (np.count_nonzero(split) <= CHUNK and depth < DEEPEST)
-        place, part = vertices[:, owner, :1], 1.0
-        for i, along in enumerate(low[..., None] + width[:, None] * corners.reshape(directions, 1, -1)):
-            part = part * along
-            place = place + part * np.diff(vertices[:, owner, i : i + 2])
+        place = np.einsum("dmv,vmk->dmk", vertices[:, owner], _barycentric(low, width, corners))
         for coefficient in sizes:
             is_seen, most = resolved(coefficient, place, higher, sizes[coefficient], width**directions)
             sizes[coefficient] = most
             if depth == 0 or (np.count_nonzero(~is_seen) <= CHUNK and depth < DEEPEST):
                 split |= ~is_seen
             is_certain &= bool(np.all(is_seen | split))
+        of = parts.owner[owner[~split]]
         total, doubt = (
-            sums + np.array([np.bincount(owner[~split], row[~split], count) for row in rows])
+            sums + np.array([np.bincount(of, row[~split], owners.size) for row in rows])
             for sums, rows in ((total, fine), (doubt, wrong))
         )
         if not np.any(split):
@@ -158,16 +155,24 @@ def _integral(
             owner, low, width = owner[split], low[:, split], width[split]
             continue
         width = width[split] / 2
-        low = (low[:, None, split] + corners * width).reshape(directions, -1)
+        low = (low[:, None, split] + corners[..., None] * width).reshape(directions, -1)
         owner, width = np.tile(owner[split], 2**directions), np.tile(width, 2**directions)
-    if count != size:
-        total, doubt = (
-            np.array([np.bincount(parts.owner, row, size) for row in rows]) for rows in (total, doubt)
-        )
     return Integral(total, doubt, is_certain)
 
 
-def _in_chunks(on_cells: OnCells, owner: Index, low: Array, width: Array, order: int) -> Array:
+def _grid(values: ArrayLike, directions: int) -> Array:
+    """(directions, k) values in each direction."""
+    return np.stack(np.meshgrid(*[values] * directions, indexing="ij")).reshape(directions, -1)
+
+
+def _barycentric(low: Array, width: Array, places: Array) -> Array:
+    """(2 or 3, m, k) coordinates in parts of places (directions, k) in cells."""
+    *radius, s = low[..., None] + width[:, None] * places[:, None]
+    r = np.prod(radius, axis=0)
+    return np.stack([*(1 - one for one in radius), r * (1 - s), r * s])
+
+
+def _in_chunks(on_cells: Callable[..., Array], owner: Index, low: Array, width: Array, order: int) -> Array:
     size = CHUNK // order
     parts = [slice(i, i + size) for i in range(0, owner.size, size)]
     return np.hstack([on_cells(owner[part], low[:, part], width[part], order) for part in parts])

@@ -40,20 +40,10 @@ TO_QUADRATIC = np.linalg.inv(functions(2, INSIDE).T)
 
 
 @dataclass(frozen=True)
-class EdgeParts:
-    """Pieces (k,) of edges: their edge, and where they begin and end."""
+class Parts:
+    """Pieces (k,) of edges or triangles: owner, barycentric coordinates (v, v corners, k), share of it.
 
-    owner: Index
-    begin: Array
-    end: Array
-    is_certain: bool
-
-
-@dataclass(frozen=True)
-class TriangleParts:
-    """Pieces (k,) of triangles: their triangle, barycentric coordinates (3, 3 corners, k), share of the area.
-
-    The first corner is the apex of a triangle that is whole.
+    The first corner is the apex of a triangle that is whole, or where a piece of an edge begins.
     """
 
     owner: Index
@@ -64,15 +54,14 @@ class TriangleParts:
 
 def _switches_of(coefficients: Iterable[Coefficient]) -> list[OnPoints]:
     """All switches of coefficients."""
-    switching = [each for each in map(switches, coefficients) if each is not None]
     return [
-        (partial(each, number), degree) for each in switching for number, degree in enumerate(each.degrees)
+        (partial(each, number), degree)
+        for each in filter(None, map(switches, coefficients))
+        for number, degree in enumerate(each.degrees)
     ]
 
 
-def edge_parts(
-    edges: Edges, coefficients: Iterable[Coefficient], others: Iterable[AlongEdges] = ()
-) -> EdgeParts:
+def edge_parts(edges: Edges, coefficients: Iterable[Coefficient], others: Iterable[AlongEdges] = ()) -> Parts:
     """The pieces of edges between the zeros of coefficients' switches, and of ``others``."""
     owner, begin, end, is_certain = np.arange(edges.size), np.zeros(edges.size), np.ones(edges.size), True
 
@@ -95,7 +84,8 @@ def edge_parts(
         end[np.append(np.diff(owner) > 0, True)] = 1.0
         kept = end > begin
         owner, begin, end = owner[kept], begin[kept], end[kept]
-    return EdgeParts(owner, begin, end, is_certain)
+    corners = np.stack([[1 - begin, 1 - end], [begin, end]])
+    return Parts(owner, corners, end - begin, is_certain)
 
 
 def _zeros_along(
@@ -154,11 +144,10 @@ def _to_bernstein(degree: int) -> Array:
     return np.linalg.inv(comb(degree, k) * s**k * (1 - s) ** (degree - k))
 
 
-def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficient]) -> TriangleParts:
+def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficient]) -> Parts:
     """The pieces of triangles between the zeros of the switches of coefficients."""
-    owner, corners = np.arange(elements.size), np.zeros((3, 3, elements.size))
-    for turn in range(3):
-        corners[(body.apex[elements] + turn) % 3, turn, owner] = 1.0
+    turned = (body.apex[elements] + np.arange(3)[:, None]) % 3
+    owner, corners = np.arange(elements.size), np.eye(3)[turned].transpose(2, 0, 1)
     is_certain = True
     for switch, degree in _switches_of(coefficients):
 
@@ -181,7 +170,7 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
         is_certain &= degree is not None and degree <= 2
         is_certain &= not np.any(bends[owner] & _have_two_signs(last, -tiny))  # zeros within rounding too
         owner, corners = _cut(owner, corners, last[:3], tiny, None if degree == 1 else values)
-    return TriangleParts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
+    return Parts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
 
 
 def _have_two_signs(values: Array, tiny: float) -> Mask:

@@ -76,6 +76,11 @@ class Bracket:
     distance: float = 0.0  # in the energy norm, from the displacement whose energy ``upper`` is
 
     @property
+    def gap(self) -> float:
+        """Between the bounds; NaN where they contradict each other."""
+        return self.upper - self.lower if self.lower <= self.upper else np.nan
+
+    @property
     def why(self) -> tuple[str, ...]:
         """All faults, with the bound that they are of."""
         sides = ("lower", self.lower_faults), ("upper", self.upper_faults)
@@ -111,12 +116,12 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     dual = balance.reaction_work - strain - pressure_work
     lower = float(dual - np.sum(spread) - doubt - rounding)
     friction = _friction_work(skeleton, conditions, u)
-    on_tools = sum(u[:, tool] @ force for tool, force in DisplacementSpace(problem).forces)
+    on_tools = sum(u[:, tool] @ force for tool, force in skeleton.space.forces)
     upper = float(computed - load.work(u) - traction.work(u) - on_tools + np.sum(friction))
     through = _slack(balance, u) * skeleton.lengths[conditions.contact] + friction
     local = field.defect**2 / 2 + spread
     local += np.bincount(skeleton.owner[conditions.contact], through, local.size)
-    gap = inside.sign * moments(u[0, skeleton.displaced[:, inside.elements]], conditions.degree, 3)
+    gap = inside.sign * moments(u[0, skeleton.space.elements[:, inside.elements]], 3)
     local[inside.elements] += np.sum(on_elements * (gap + inside.offset), axis=0)
     of_both = {
         DOUBTFUL: not doubt <= max(DOUBT * abs(upper - lower), PROVED * strain),
@@ -134,10 +139,10 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
 
 def _friction_work(skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
     """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
-    work, sets = np.zeros(conditions.contact.size), DisplacementSpace(skeleton.body.problem).contact_sets
+    work, sets = np.zeros(conditions.contact.size), skeleton.space.contact_sets
     for part in conditions.parts:
         if part.obstacle.friction_law:
-            jump = sets[part.number].relative(u)[:, skeleton.along(skeleton.order)[:, part.edges]]
+            jump = sets[part.number].relative(u)[:, skeleton.along[:, part.edges]]
             work[part.place] = friction_energy(Edges(skeleton.body, part.edges), part.obstacle, jump)[0]
     return work
 
@@ -146,9 +151,11 @@ def _slack(balance: Balance, u: Array) -> Array:
     """(contact edges,) mean work of pressure on the gap and of friction on the slip."""
     assembled = balance.assembled
     traces, (offset, inside) = assembled.of_displacement(u), (assembled.conditions.offset, balance.inside)
-    gap = (assembled.normals @ traces)[inside.size :].reshape(offset.shape) + offset
-    slip = (assembled.tangents @ traces)[inside.size :].reshape(offset.shape)
-    return np.sum(balance.pressure * gap + balance.friction * slip, axis=0)
+    gap, slip = (
+        (rows @ traces)[inside.size :].reshape(offset.shape)
+        for rows in (assembled.normals, assembled.tangents)
+    )
+    return np.sum(balance.pressure * (gap + offset) + balance.friction * slip, axis=0)
 
 
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:
@@ -158,10 +165,10 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     those of contact, must vanish along every edge in every component that is not given, forces on tools too;
     contact must press and friction stay within its bound.
     """
-    n, k = conditions.held.shape[0], conditions.degree + 1
     balance, edge = field.balance, skeleton.lengths[conditions.contact]
     assembled, scale = balance.assembled, float(np.max(np.abs(field.forces), initial=1e-300))
-    total = np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel(), assembled.held.size)
+    on_edges = assembled.numbers[:, : len(field.forces.T)]
+    total = np.bincount(on_edges.ravel(), field.forces.ravel(), assembled.held.size)
     total = assembled.turn @ total - assembled.applied
     pressing, along = (part[balance.inside.size :] for part in (assembled.normals, assembled.tangents))
     total -= pressing.T @ (balance.pressure * edge).ravel() + along.T @ (balance.friction * edge).ravel()

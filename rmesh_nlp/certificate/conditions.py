@@ -18,9 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rmesh_nlp.assessment.integrals import RULES
-from rmesh_nlp.assessment.parts import edge_parts, refined, triangle_parts
+from rmesh_nlp.assessment.parts import Parts, edge_parts, refined, triangle_parts
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
 from rmesh_nlp.certificate.polynomials import powers
 from rmesh_nlp.certificate.skeleton import Skeleton
@@ -34,8 +33,8 @@ from rmesh_nlp.problem.coefficients import Coefficient, on_points, product
 from rmesh_nlp.problem.enclosures import resolved
 from rmesh_nlp.problem.pairs import edges_of_pair
 
-SAMPLED = np.clip(np.linspace(0, 1, 33), PROVED, 1 - PROVED)
-"""Places (33,) along a piece of an edge at which coefficients are looked at."""
+SAMPLED = np.clip(np.linspace([1, 0], [0, 1], 33, axis=1), PROVED, 1 - PROVED)
+"""Barycentric coordinates (2, 33) on a piece of an edge at which coefficients are looked at."""
 
 
 class ContactPart(NamedTuple):
@@ -81,35 +80,31 @@ class Conditions:
     inside: Inside
     is_certain: bool  # whether it is known where the data jump and kink
 
-    @property
-    def degree(self) -> int:
-        """Of the forces through the edges."""
-        return self.given.shape[1] - 1
-
 
 def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     """The conditions of a problem on its mesh at the given positions.
 
     Raises NotCertifiableError for contact that tractions linear on edges cannot express.
     """
-    degree, n = element_of(problem).pieces.degree, problem.components
-    held, given, given_doubt, given_error, is_certain = _given_displacement(problem, skeleton, degree)
-    traction, inside, inside_is_certain = tractions(problem, skeleton), *_inside(problem, skeleton, degree)
+    order, n = problem.order, problem.components
+    held, given, given_doubt, given_error, is_certain = _given_displacement(problem, skeleton)
+    traction = tractions(problem, skeleton, problem.tractions)
+    inside, inside_is_certain = _inside(problem, skeleton)
     is_certain &= traction.is_certain and inside_is_certain
     parts = _contact_parts(problem, skeleton, held)
     contact = numbers_of(part.edges for part in parts)
-    offset, offset_doubt, friction, coulomb = np.zeros((4, degree + 1, contact.size))
+    offset, offset_doubt, friction, coulomb = np.zeros((4, order + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
     for part in parts:
         obstacle = part.obstacle
         edges = Edges(skeleton.body, part.edges)
         with located(f"the obstacle on {obstacle.boundary!r}"):
-            gap = integrals(obstacle.clearance, skeleton, part.edges, 2, problem.order)
+            gap = integrals(obstacle.clearance, skeleton, part.edges, 2)
             is_certain &= gap.is_certain and is_seen(obstacle.clearance, edges)
             if n == 2:
                 below, known = _linear_below(product(problem.measure, obstacle.friction_law.given), edges)
-                friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
-                coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, edges, degree).T
+                friction[:, part.place] = functions(1, powers(order, 2).T / order).T @ below
+                coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, skeleton, part.edges)
                 is_certain &= known
         offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
@@ -118,24 +113,23 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
 
 
 def _given_displacement(
-    problem: ContactProblem, skeleton: Skeleton, degree: int
+    problem: ContactProblem, skeleton: Skeleton
 ) -> tuple[Mask, Array, float, float, bool]:
-    n, count = problem.components, skeleton.ends.shape[1]
-    held, given = np.zeros((n, count), dtype=bool), np.zeros((n, degree + 1, count))
+    n, order, count = problem.components, problem.order, skeleton.ends.shape[1]
+    held, given = np.zeros((n, count), dtype=bool), np.zeros((n, order + 1, count))
     doubt, error, is_certain = 0.0, 0.0, True
     for support in problem.supports:
         edges = np.unique(problem.mesh.boundaries[support.boundary])
         for i, coefficient in enumerate(support.value):
             if coefficient is None:
                 continue
-            sides = Edges(skeleton.body, edges)
             with located(f"the displacement given on {support.boundary!r}"):
-                part = integrals(coefficient, skeleton, edges, 2, problem.order)
-                at_nodes = _at_nodes(coefficient, sides, problem.order)
-                owner, s, values, is_seen = _samples(coefficient, sides)
+                part = integrals(coefficient, skeleton, edges, 2)
+                at_nodes = _at_nodes(coefficient, skeleton, edges)
+                pieces, shares, values, is_seen = _samples(coefficient, Edges(skeleton.body, edges))
             held[i, edges], given[i][:, edges] = True, part.moments
-            own = to_coefficients(problem.order, 2) @ at_nodes[owner].T
-            values -= np.sum(functions(problem.order, np.stack([1 - s, s])) * own[:, :, None], axis=0)
+            own = to_coefficients(order, 2) @ at_nodes[:, pieces.owner]
+            values -= np.sum(functions(order, shares) * own[:, :, None], axis=0)
             doubt = np.max(part.doubt, initial=doubt)
             error = max(error, magnitude(values))
             is_certain &= part.is_certain and is_seen
@@ -143,19 +137,18 @@ def _given_displacement(
     return held, given, doubt / scale, error / scale, is_certain
 
 
-def _at_nodes(coefficient: Coefficient, edges: Edges, order: int) -> Array:
-    """(edges, order + 1) values at the ends of edges, and for order 2 in the middle."""
-    places = np.tile(np.array([0, 1, 1 / 2])[: order + 1], (edges.size, 1))
-    return on_points(coefficient, edges.at(np.arange(edges.size), places)[0])
+def _at_nodes(coefficient: Coefficient, skeleton: Skeleton, edges: Index) -> Array:
+    """(order + 1, edges) values at the ends of edges, and for order 2 in the middle."""
+    return on_points(coefficient, skeleton.space.points(skeleton.nodes)[:, skeleton.along[:, edges]])
 
 
-def _inside(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Inside, bool]:
+def _inside(problem: ContactProblem, skeleton: Skeleton) -> tuple[Inside, bool]:
     obstacles = [obstacle for obstacle in problem.obstacles if obstacle.boundary is Place.INTERIOR]
     (sign, offset), *rest = [(obstacle.normal[0], obstacle.offset) for obstacle in obstacles] or [(0.0, 0.0)]
     if rest:
         raise NotCertifiableError("there are two obstacles in the interior")
     elements = np.arange(skeleton.areas.size if obstacles else 0)
-    gap = integrals(offset, skeleton, elements, 3, degree)
+    gap = integrals(offset, skeleton, elements, 3)
     is_certain = gap.is_certain and (not obstacles or _is_seen_inside(offset, skeleton, elements))
     return Inside(sign, elements, gap.moments, gap.doubt), is_certain
 
@@ -169,7 +162,7 @@ def _is_seen_inside(offset: Coefficient, skeleton: Skeleton, elements: Index) ->
     parts = triangle_parts(skeleton.body, elements, (offset,))
     owner, corners = parts.owner, parts.corners
     longest = np.max(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=0), axis=0)
-    is_narrow = (parts.share < longest / LATTICES[-1]) & (np.max(corners, axis=(0, 1)) < 1 - PROVED)
+    is_narrow = _are_inside(parts) & (parts.share < longest / LATTICES[-1])
     for _ in range(2):
         owner, corners = refined(owner, corners, np.full(owner.size, True))
     points = skeleton.body.points(elements[owner], corners.transpose(0, 2, 1))[0]
@@ -215,23 +208,26 @@ def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> t
 
 def is_seen(coefficient: Coefficient, edges: Edges) -> bool:
     """Whether nothing of a gap hides between the points of edges at which gaps are looked at."""
-    _, places, _, is_certain = _samples(coefficient, edges)
-    begin, end = places[:, [0, -1]].T
-    is_narrow = (begin > 2 * PROVED) & (end < 1 - 2 * PROVED) & (end - begin < 2 / SAMPLES)
-    return is_certain and not np.any(is_narrow)
+    parts, _, _, is_certain = _samples(coefficient, edges)
+    return is_certain and not np.any(_are_inside(parts) & (parts.share < 2 / SAMPLES))
 
 
-def _samples(coefficient: Coefficient, edges: Edges) -> tuple[Index, Array, Array, bool]:
-    """Values (k, 33) on pieces of edges, just inside of their ends: also their edges and places (k, 33).
+def _are_inside(parts: Parts) -> Mask:
+    """Parts without a vertex of their owner."""
+    return np.max(parts.corners, axis=(0, 1)) < 1 - PROVED
+
+
+def _samples(coefficient: Coefficient, edges: Edges) -> tuple[Parts, Array, Array, bool]:
+    """Pieces of edges, barycentric coordinates (2, k, 33) just inside of their ends, and values there.
 
     The last value says whether nothing hides between them.
     """
     parts = edge_parts(edges, (coefficient,))
-    places = np.outer(parts.begin, 1 - SAMPLED) + np.outer(parts.end, SAMPLED)
-    points = edges.at(parts.owner, places)[0]
+    shares = parts.corners.transpose(0, 2, 1) @ SAMPLED
+    points = edges.at(parts.owner, shares[1])[0]
     cells, values = np.stack([points[..., :-1], points[..., 1:]], axis=-1), on_points(coefficient, points)
     is_seen = not callable(coefficient) or np.all(resolved(coefficient, cells, RULES[1])[0])
-    return parts.owner, places, values, parts.is_certain and bool(is_seen)
+    return parts, shares, values, parts.is_certain and bool(is_seen)
 
 
 def _linear_below(friction: Coefficient, edges: Edges) -> tuple[Array, bool]:
@@ -240,15 +236,16 @@ def _linear_below(friction: Coefficient, edges: Edges) -> tuple[Array, bool]:
     On an edge where the bound jumps or kinks it is a constant. The second value says whether it is known
     where it does.
     """
-    owner, _, values, is_certain = _samples(friction, edges)
+    parts, _, values, is_certain = _samples(friction, edges)
+    owner = parts.owner
     # between two samples it is below its chord by an eighth of the second difference
     values -= np.pad(np.maximum(np.diff(values, 2), 0.0) / 8, ((0, 0), (1, 1)), "edge")
-    steepest = np.max(np.abs(np.diff(values)), axis=1) * SAMPLED.size
+    steepest = np.max(np.abs(np.diff(values)), axis=1) * len(SAMPLED.T)
     values -= 2 * PROVED * steepest[:, None]  # samples are inside of the ends
     least, ends = np.full(edges.size, np.inf), np.zeros((2, edges.size))
     np.minimum.at(least, owner, np.min(values, axis=1))
     ends[:, owner] = values[:, [0, -1]].T
-    excess = np.max(ends[:, owner].T @ np.stack([1 - SAMPLED, SAMPLED]) - values, axis=1)
+    excess = np.max(ends[:, owner].T @ SAMPLED - values, axis=1)
     ends[:, owner] -= np.where(excess > PROVED * np.max(np.abs(values), axis=1), excess, 0.0)
     is_constant = (np.bincount(owner, minlength=edges.size) > 1) | np.any(ends < 0, axis=0)
     return np.where(is_constant, np.maximum(least, 0.0), ends), is_certain

@@ -24,9 +24,10 @@ import numpy as np
 import scipy.linalg
 
 from rmesh_nlp.certificate.polynomials import bernstein, elevation, powers, raised
-from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, edge_normals
-from rmesh_nlp.evaluation import Array, Index, cross
+from rmesh_nlp.certificate.skeleton import AFTER, CORNERS
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
+from rmesh_nlp.problem.body import edge_normals, gradients
 from rmesh_nlp.problem.quadrature import triangle_rule
 
 Point = tuple[float, ...]
@@ -74,11 +75,10 @@ class Pieces:
 
         ``corners`` (2, 3, ...) are those of the triangles.
         """
-        normals = edge_normals(np.einsum("pwv,dv...->dwp...", self.corners, corners))
-        slopes = -normals / cross(normals[:, 1], normals[:, 2])
+        of_shares = gradients(np.einsum("pwv,dv...->dwp...", self.corners, corners))
         derived = (self.degree + 1) * field[:, raised(self.degree + 1, 3)]
-        gradients = np.einsum("pfwv...,dwp...->pfdv...", derived, slopes)
-        return np.einsum("idv,pfdv...->ipf...", self.matrix, gradients)
+        slopes = np.einsum("pfwv...,dwp...->pfdv...", derived, of_shares)
+        return np.einsum("idv,pfdv...->ipf...", self.matrix, slopes)
 
     def forces(self, field: Array, normals: Array) -> Array:
         """(3 (k + 1), components, ...) coefficients of the tractions along the edges, times their lengths.

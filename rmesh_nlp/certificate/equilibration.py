@@ -129,9 +129,9 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
     pushing[0][:, inside.elements] += inside.sign * balanced.inside
     mean, forces, energy = fields.mean(field), fields.forces(field), fields.energy(field)
     if problem.axisymmetric:
-        strain = strain_energies(problem, skeleton.nodes, DisplacementSpace(problem).values(u))
+        strain = strain_energies(problem, skeleton.nodes, skeleton.space.values(u))
         traces = balanced.assembled.by_element(balanced.assembled.of_displacement(u))[:, : len(forces.T)]
-        within = moments(u[:, skeleton.displaced], conditions.degree, 3) * skeleton.areas
+        within = moments(u[:, skeleton.space.elements], 3) * skeleton.areas
         work = np.sum(forces * traces, axis=1) + np.sum(pushing * within, axis=(0, 1))
         variation = defect = np.sqrt(2 * np.maximum(energy + strain - work, 0.0))
     else:
@@ -159,12 +159,13 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     bound too, if not the best.
     """
     skeleton, conditions, system = assembled.skeleton, assembled.conditions, assembled.system
-    degree, edge = conditions.degree, skeleton.lengths[conditions.contact]
-    along = skeleton.along(degree)[:, conditions.contact]
-    inside = guess.pressure[skeleton.inside(degree)[:, conditions.inside.elements]].T.ravel()
+    obstacle = conditions.inside
+    space, edge = skeleton.space, skeleton.lengths[conditions.contact]
+    along = skeleton.along[:, conditions.contact]
+    inside = guess.pressure[space.elements[:, obstacle.elements]].T.ravel()
     pressure, friction = (values[along] * edge for values in (guess.pressure, guess.friction))
     # at order 2 contact of the traces ends before the edges on which that of the nodes does
-    pressure[np.isin(along, along[:, (np.min(pressure, axis=0) <= 0) & (degree > 1)])] = 0.0
+    pressure[np.isin(along, along[:, (np.min(pressure, axis=0) <= 0) & (space.order > 1)])] = 0.0
     pressing = np.append(inside, pressure)
     touching, bound = pressing > 0, system.bound((1 - ROUNDING) * pressing)
     # all of an edge slides
@@ -188,16 +189,13 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     W = traces - assembled.start
     push = assembled.normals.T @ force + assembled.tangents.T @ friction
     reaction = (assembled.matrix @ W - assembled.load - push)[held] @ traces[held]
-    (inside, pressure), (_, friction) = (
-        np.split(part, [conditions.inside.offset.size]) for part in (force, friction)
-    )
-    functions = len(conditions.inside.offset)
+    (inside, pressure), (_, friction) = (np.split(part, [obstacle.offset.size]) for part in (force, friction))
     return Balance(
         traces=assembled.by_element(W),
         pressure=pressure.reshape(shape) / edge,
         friction=friction.reshape(shape) / edge,
         reaction_work=float(reaction),
-        inside=inside.reshape(-1, functions).T / skeleton.areas[conditions.inside.elements],
+        inside=inside.reshape(obstacle.offset.T.shape).T / skeleton.areas[obstacle.elements],
         assembled=assembled,
         solved=solved,
     )

@@ -27,7 +27,6 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -100,7 +99,8 @@ class Estimate(NamedTuple):
 
     def record(self, is_limited: bool = True) -> Values:
         """What is told of it; no error where it does not converge, or perhaps has no limit."""
-        error, converges = (self.error, True) if is_limited and self.converges else (np.nan, False)
+        converges = is_limited and self.converges
+        error = self.error if converges else np.nan
         return {"value": self.value, "error": error, "computed": self.computed, "converges": converges}
 
 
@@ -249,9 +249,8 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
         return Quantity(getattr(results[name], RESULTS[kind]), on.u)
     if text == ENERGY:
         return Quantity(on.state.energy, on.u)
-    other, tools = copy(on.problem), of_tools(on.problem)  # no check depends on its loads
-    object.__setattr__(other, "tractions", () if text in tools else (load_of(text, other),))
-    load = tractions(other, on.skeleton)
+    tools = of_tools(on.problem)
+    load = tractions(on.problem, on.skeleton, () if text in tools else (load_of(text, on.problem),))
     for component, moments in zip(push, load.moments, strict=True):
         np.add.at(component, load.nodes, moments * load.measure)
     if text in tools:

@@ -28,8 +28,6 @@ from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array, Index, Mask
-from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem.rigid import rigid_motions
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Hybrid:
 
     def of_displacement(self, u: Array) -> Array:
         """(traces,) those of a displacement with coefficients (components, nodes)."""
-        return _of_displacement(self.turn, self.skeleton, self.conditions, u, self.skeleton.order)
+        return _of_displacement(self.turn, self.skeleton, self.conditions, u)
 
     def by_element(self, W: Array) -> Array:
         """(elements, k) traces (traces,) of each element, in Cartesian components."""
@@ -69,19 +67,19 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
 
     ``computed`` is the field of this displacement, to which ``fields`` add what it lacks.
     """
-    skeleton, inside, degree = fields.skeleton, conditions.inside, conditions.degree
-    n, k, problem = conditions.held.shape[0], degree + 1, skeleton.body.problem
+    skeleton, inside, space = fields.skeleton, conditions.inside, fields.skeleton.space
+    (n, k, _), problem = conditions.given.shape, space.problem
     on_edges, lengths, none = skeleton.traces(n, k), skeleton.lengths, np.zeros(inside.offset.shape)
     turn = _turn(conditions, none.size + len(problem.tools))
     edges, size = n * k * lengths.size, turn.shape[0]
     added = np.arange(edges, edges + none.size)
     numbers = np.hstack([on_edges, added.reshape(len(on_edges), -1)])
 
-    start = _of_displacement(turn, skeleton, conditions, u, skeleton.order)
+    start = _of_displacement(turn, skeleton, conditions, u)
     held = np.repeat(conditions.held[:, None], k, axis=1)
     held = np.abs(turned(turn, held, none, problem.tools_held)) > 0.5
     base, free = np.where(held, turned(turn, conditions.given), start), np.flatnonzero(~held)
-    on_tools = np.reshape([force for _, force in DisplacementSpace(problem).forces], (-1, n)).T
+    on_tools = np.reshape([force for _, force in space.forces], (-1, n)).T
     applied = turned(turn, conditions.traction.balanced * lengths, none, on_tools)
     load = applied.copy()
     load[added] += (fields.load[0] * skeleton.areas)[:, inside.elements].T.ravel()
@@ -102,8 +100,8 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     bound, coulomb = (np.where(share > 0, np.append(none, each), 0.0) for each in (loads, conditions.coulomb))
     # friction turns where the slip is zero
     base = base - own.T @ (tangents @ base / np.maximum(share, 1.0))
-    motions = rigid_motions(problem, skeleton.nodes)
-    rigid = [_of_displacement(turn, skeleton, conditions, motion, 1)[free] for motion in motions]
+    motions = space.rigid_motions(skeleton.nodes)
+    rigid = [_of_displacement(turn, skeleton, conditions, motion)[free] for motion in motions]
     system = ContactSystem(
         matrix[free][:, free],
         (load - matrix @ (base - start))[free],
@@ -134,7 +132,7 @@ def jumps(skeleton: Skeleton, conditions: Conditions) -> list[sp.csr_array]:
 
     They run function by function.
     """
-    tools, (n, edges), k = skeleton.body.problem.tools, conditions.held.shape, conditions.degree + 1
+    tools, (n, k, edges) = skeleton.body.problem.tools, conditions.given.shape
     number, shape = np.arange(n * k * edges).reshape(edges, k, n).T, (n, k, conditions.contact.size)
     met, moved = np.full(shape, -1), np.zeros((*shape, len(tools), n))
     for part in conditions.parts:
@@ -153,24 +151,21 @@ def jumps(skeleton: Skeleton, conditions: Conditions) -> list[sp.csr_array]:
     ]
 
 
-def _of_displacement(
-    turn: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array, order: int
-) -> Array:
+def _of_displacement(turn: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
     """See :meth:`Hybrid.of_displacement`."""
-    nodes, degree = skeleton.along(order), conditions.degree
-    inside = skeleton.inside(order)[:, conditions.inside.elements]
-    tools = u[:, skeleton.nodes.shape[1] + (nodes.shape[1] if order == 2 else 0) :]
-    return turned(turn, moments(u[:, nodes], degree), moments(u[:1, inside], degree, 3), tools)
+    space, tools = skeleton.space, u[:, skeleton.space.n_nodes :]
+    inside = space.elements[:, conditions.inside.elements]
+    return turned(turn, moments(u[:, skeleton.along]), moments(u[:1, inside], 3), tools)
 
 
 def _turn(conditions: Conditions, added: int) -> sp.csr_array:
     """From Cartesian components to the axes of contact edges; the last ``added`` blocks stay as they are."""
-    k, (n, edges) = conditions.degree + 1, conditions.held.shape
-    blocks = np.tile(np.eye(n), (edges, 1, 1))
-    blocks[conditions.contact] = conditions.axes
+    n, k, edges = conditions.given.shape
+    data = np.tile(np.eye(n), (k * edges + added, 1, 1))
+    of_edges, axes = data[: k * edges].reshape(edges, k, n, n), conditions.axes[:, None]
+    of_edges[conditions.contact] = axes
     for part in conditions.parts:
-        blocks[part.others] = conditions.axes[part.place][: part.others.size]
-    data = np.concatenate([np.repeat(blocks, k, axis=0), np.tile(np.eye(n), (added, 1, 1))])
+        of_edges[part.others] = axes[part.place][: part.others.size]
     turn = sp.csr_array(sp.bsr_array((data, np.arange(len(data)), np.arange(len(data) + 1))))
     turn.eliminate_zeros()
     return turn

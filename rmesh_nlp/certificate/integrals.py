@@ -17,7 +17,7 @@ from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.fem.bernstein import functions, size
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Traction
 from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points, product
 
@@ -32,10 +32,9 @@ class Integrals:
     is_certain: bool = True  # whether it is known where f jumps and kinks
 
 
-def integrals(
-    coefficient: Coefficient, skeleton: Skeleton, cells: Index, vertices: int, order: int = 1
-) -> Integrals:
-    """Moments of an order over some edges (of two ``vertices``) or triangles (of three)."""
+def integrals(coefficient: Coefficient, skeleton: Skeleton, cells: Index, vertices: int) -> Integrals:
+    """Moments over some edges (of two ``vertices``) or triangles (of three)."""
+    order = skeleton.space.order
     shape = size(order, vertices), cells.size
     if not callable(coefficient):
         value = float(coefficient)  # all functions have the same integral
@@ -46,11 +45,8 @@ def integrals(
         each = np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
         return np.sum(each / skeleton.body.problem.measured(where) * weights, axis=2)
 
-    def along(rows: Index, s: Array, *places: Array) -> Array:
-        return tested(rows, np.stack([1 - s, s]), *places)
-
     if vertices == 2:
-        sums, measure = over_edges(Edges(skeleton.body, cells), along, (coefficient,)), skeleton.lengths
+        sums, measure = over_edges(Edges(skeleton.body, cells), tested, (coefficient,)), skeleton.lengths
     else:
         sums, measure = over_triangles(skeleton.body, cells, tested, (), (coefficient,)), skeleton.areas
     means, doubt = sums.value / measure[cells], sums.doubt / measure[cells]
@@ -86,13 +82,13 @@ class Loads:
 def body_forces(problem: ContactProblem, skeleton: Skeleton) -> Loads:
     """Sources or body forces on each element."""
     given = [(law.load, elements) for law, elements in problem.regions]
-    return _loads(problem, skeleton, given, 3, skeleton.displaced, skeleton.areas)
+    return _loads(problem, skeleton, given, 3, skeleton.space.elements, skeleton.areas)
 
 
-def tractions(problem: ContactProblem, skeleton: Skeleton) -> Loads:
+def tractions(problem: ContactProblem, skeleton: Skeleton, loads: Sequence[Traction]) -> Loads:
     """Given tractions on each edge."""
-    given = [(load.value, np.unique(problem.mesh.boundaries[load.boundary])) for load in problem.tractions]
-    return _loads(problem, skeleton, given, 2, skeleton.along(problem.order), skeleton.lengths)
+    given = [(load.value, np.unique(problem.mesh.boundaries[load.boundary])) for load in loads]
+    return _loads(problem, skeleton, given, 2, skeleton.along, skeleton.lengths)
 
 
 def _loads(
@@ -110,7 +106,7 @@ def _loads(
         for i, one in enumerate(coefficients):
             coefficient = product(problem.measure, one)
             with located(f"component {i + 1} of a load"):
-                part = integrals(coefficient, skeleton, cells, vertices, problem.order)
+                part = integrals(coefficient, skeleton, cells, vertices)
             value[i][:, cells] += part.moments
             doubt[i][:, cells] += part.doubt
             is_certain &= part.is_certain

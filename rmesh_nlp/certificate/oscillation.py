@@ -37,12 +37,12 @@ POINCARE = 1 / 3.8317
 
 def korn(skeleton: Skeleton) -> Array:
     """(elements,) constants K with ``|grad v| <= K |eps(v)|`` for v without mean rotation."""
-    lengths = np.linalg.norm(skeleton.normals, axis=0)
+    lengths = skeleton.lengths[skeleton.edges]
     perimeter = lengths.sum(axis=0)
     inner = 2 * skeleton.areas / perimeter
     centre = np.einsum("ie,cie->ce", lengths / perimeter, skeleton.corners)
     to_corners = skeleton.corners - centre[:, None]
-    ratio = inner / np.sqrt(np.max(np.sum(to_corners**2, axis=0), axis=0))
+    ratio = inner / np.max(np.linalg.norm(to_corners, axis=0), axis=0)
     beta_squared = ratio**2 / (2 * (1 + np.sqrt(1 - ratio**2)))
     return np.sqrt(2 / beta_squared)
 

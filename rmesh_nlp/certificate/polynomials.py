@@ -42,8 +42,6 @@ def raised(degree: int, vertices: int) -> Index:
 
     The derivative by this coordinate has the coefficients of these functions times the degree.
     """
-    if degree == 1:
-        return np.arange(vertices)[None]
     number = {tuple(power): i for i, power in enumerate(powers(degree, vertices).tolist())}
     corners = np.eye(vertices, dtype=np.int64)
     below = powers(degree - 1, vertices)
@@ -60,17 +58,16 @@ def elevation(degree: int, vertices: int) -> Array:
 
 
 @lru_cache
-def mass(degree: int, other: int, vertices: int) -> Array:
-    """Means of products of the functions of two degrees."""
-    first, second = powers(degree, vertices)[:, None], powers(other, vertices)
-    both, sides = degree + other, vertices - 1
-    ways = np.prod(comb(first + second, first), axis=2)
-    return ways / (comb(both, degree) * comb(both + sides, sides))
+def mass(degree: int, vertices: int) -> Array:
+    """Means of products of two functions."""
+    each, sides = powers(degree, vertices), vertices - 1
+    ways = np.prod(comb(each[:, None] + each, each), axis=2)
+    return ways / (comb(2 * degree, degree) * comb(2 * degree + sides, sides))
 
 
-def moments(coefficients: Array, degree: int, vertices: int = 2) -> Array:
-    """(..., functions of the degree, cells) moments of polynomials with coefficients (..., any, cells)."""
-    return mass(degree, degree_of(coefficients, vertices), vertices) @ coefficients
+def moments(coefficients: Array, vertices: int = 2) -> Array:
+    """(..., functions, cells) moments of polynomials with these coefficients."""
+    return mass(degree_of(coefficients, vertices), vertices) @ coefficients
 
 
 def projection(given: Array, vertices: int) -> Array:
@@ -78,7 +75,7 @@ def projection(given: Array, vertices: int) -> Array:
     degree = degree_of(given, vertices)
     if (degree, vertices) == (1, 3):  # with fewer roundings: the remainder of a load is the root of theirs
         return 12 * given - 3 * given.sum(axis=-2, keepdims=True)
-    whole = np.rint(np.linalg.inv(mass(degree, degree, vertices)))  # the inverse has whole numbers
+    whole = np.rint(np.linalg.inv(mass(degree, vertices)))  # the inverse has whole numbers
     return whole @ given
 
 

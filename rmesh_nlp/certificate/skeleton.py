@@ -9,21 +9,16 @@ import numpy as np
 
 from rmesh_nlp.certificate.polynomials import raised
 from rmesh_nlp.evaluation import PROVED, Array, Index, magnitude
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import lengths, signed_areas
 from rmesh_nlp.problem import ContactProblem, Motion, Place
-from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.body import Body, edge_normals, gradients
 
 AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 """Vertices of edge i of a triangle, the one opposite vertex i, counter-clockwise."""
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
-
-
-def edge_normals(corners: Array) -> Array:
-    """(2, 3, ...) outward normals, as long as the edges, of triangles with ``corners`` (2, 3, ...)."""
-    along = corners[:, AFTER[:, 1]] - corners[:, AFTER[:, 0]]
-    return np.stack([along[1], -along[0]])
 
 
 @dataclass(frozen=True)
@@ -46,10 +41,10 @@ class Skeleton:
         """(3, elements) vertices of each element, counter-clockwise."""
         return self.body.triangles
 
-    @property
-    def order(self) -> int:
-        """Of displacements on it."""
-        return self.body.problem.order
+    @cached_property
+    def space(self) -> DisplacementSpace:
+        """Of the displacements on it."""
+        return DisplacementSpace(self.body.problem)
 
     @cached_property
     def ends(self) -> Index:
@@ -92,40 +87,22 @@ class Skeleton:
     @cached_property
     def jacobian(self) -> Array:
         """(elements, 2, 2) Jacobians of the maps from the reference triangle."""
-        a, b, c = self.corners.transpose(1, 0, 2)
-        return np.ascontiguousarray(np.stack([b - a, c - a], axis=1).transpose(2, 0, 1))
+        return np.ascontiguousarray((self.corners[:, 1:] - self.corners[:, :1]).transpose(2, 0, 1))
 
     @cached_property
     def diameters(self) -> Array:
         """(elements,) longest edges."""
-        return np.sqrt(np.max(np.sum(self.normals**2, axis=0), axis=0))
+        return np.max(self.lengths[self.edges], axis=0)
 
-    @cached_property
+    @property
     def owner(self) -> Index:
         """(edges,) one element of each edge, whichever comes last."""
-        owner = np.zeros(self.ends.shape[1], dtype=np.int64)
-        owner[self.edges] = np.arange(self.areas.size)
-        return owner
+        return np.max(self.body.problem.mesh.f2t, axis=0)
 
     @cached_property
-    def displaced(self) -> Index:
-        """(3 or 6, elements) nodes of the displacements on each element: see :meth:`inside`."""
-        return self.inside(self.order)
-
-    def inside(self, degree: int) -> Index:
-        """(3 or 6, elements) nodes of polynomials of a degree on each element.
-
-        Those of vertices have their numbers; those of edges come after all of these, by the edges' numbers.
-        """
-        if degree == 1:
-            return self.triangles
-        return np.vstack([self.triangles, self.nodes.shape[1] + self.edges[[2, 0, 1]]])
-
-    def along(self, degree: int) -> Index:
-        """(2 or 3, edges) the same nodes along each edge."""
-        if degree == 1:
-            return self.ends
-        return np.vstack([self.ends, self.nodes.shape[1] + np.arange(self.ends.shape[1])])
+    def along(self) -> Index:
+        """(2 or 3, edges) nodes of the displacements along each edge."""
+        return self.space.nodes_of(self.ends)
 
     def traces(self, components: int, k: int) -> Index:
         """(elements, 3 k components) numbers of the traces of each element.
@@ -142,9 +119,9 @@ class Skeleton:
 
         They are constant on an element, or linear with these values at its vertices.
         """
-        derived = self.order * displacement[:, self.displaced[raised(self.order, 3)]]
-        slopes = -np.einsum("cvie,die->cdve", derived, self.normals)
-        return slopes / (2 * self.areas)
+        order, nodes = self.space.order, self.space.elements
+        derived = order * displacement[:, nodes[raised(order, 3)]]
+        return np.einsum("cvie,die->cdve", derived, gradients(self.corners))
 
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:

@@ -18,12 +18,13 @@ from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array, largest_side, magnitude
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.curves import FITTED, fitted
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, edges_on
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, angles, edges_on
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.laws import LOCKING
+from rmesh_nlp.problem.lines import joints
 from rmesh_nlp.problem.units import after
 
 NEGLECTED = 0.1
@@ -213,12 +214,9 @@ def _is_accepted(problem: ContactProblem, name: str, kind: str) -> bool:
 def _turns(problem: ContactProblem, name: str) -> Array:
     """Angles in radians by which a boundary turns at its inner nodes."""
     edges = edges_on(problem.mesh, name)
-    along = problem.mesh.p[:, edges[1]] - problem.mesh.p[:, edges[0]]
-    outward = np.hstack([along, -along]) / np.tile(np.linalg.norm(along, axis=0), 2)  # from each end
-    order = np.argsort(edges.ravel())
-    _, first, count = np.unique(edges.ravel()[order], return_index=True, return_counts=True)
-    a, b = (outward[:, order[first[count == 2] + side]] for side in range(2))
-    return np.pi - np.arccos(np.clip(np.sum(a * b, axis=0), -1, 1))
+    node, *both = joints(edges)
+    corners = np.stack([node, *(edges[:, which].sum(axis=0) - node for which in both)])
+    return np.pi - angles(problem.mesh.p, corners)[0]
 
 
 def _sizes(problem: ContactProblem, u: Array, extent: float) -> Iterator[SetupWarning]:

@@ -148,7 +148,7 @@ class Straight(Cell):
 class Arc(Cell):
     """An edge on a curve, by the parameters (2,) of its ends."""
 
-    def __init__(self, curve: Curve, components: int, order: int, measure: Coefficient = 1.0) -> None:
+    def __init__(self, curve: Curve, components: int, order: int, measure: Coefficient) -> None:
         self._arc = ArcPoints(curve)
         super().__init__([self._arc.t], 2, components, order, measure, curve)
 

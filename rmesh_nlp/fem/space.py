@@ -16,6 +16,7 @@ from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.problem.rigid import rigid_motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +225,14 @@ class DisplacementSpace:
         """(gaps,) whether friction may act."""
         each = (np.full(part.nodes.size, bool(part.obstacle.friction_law)) for part in self.contact_sets)
         return np.concatenate([np.zeros(0, dtype=bool), *each])
+
+    def rigid_motions(self, X: Array) -> list[Array]:
+        """Coefficients (components, nodes and tools) of each of the rigid motions at X (2, vertices)."""
+        n = self.n_vertices
+        return [
+            np.hstack([self.points(motion[:, :n]), motion[:, n:]])
+            for motion in rigid_motions(self.problem, X)
+        ]
 
     def weights(self, X: Array) -> Array:
         """omega_i of (5.9) for every gap: the integral of its node's shape function over the boundary.

@@ -24,7 +24,7 @@ def gradients(problem: ContactProblem, X: Array, displacement: Array, shares: Ar
     # the linear fields that have the slopes of positions and displacement there
     x, u = _local(space, (space.points_on_body(X), displacement), slopes(space.order, shares))
     with np.errstate(divide="ignore", invalid="ignore"):  # an invalid mesh is written too
-        return np.einsum("cv...,vj...->cj...", u, of_shares(x))
+        return np.einsum("cv...,jv...->cj...", u, of_shares(x))
 
 
 def _local(space: DisplacementSpace, fields: Sequence[Array], values: Array) -> list[Array]:

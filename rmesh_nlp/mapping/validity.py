@@ -20,6 +20,7 @@ from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import NONE, ElementGroup, constant_field
 from rmesh_nlp.fem.reach import corners, least_areas
 from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.meshes.geometry import angles
 from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
@@ -156,12 +157,7 @@ def is_valid(problem: ContactProblem, nodes: Array, *, by_barrier: bool = False)
 
 def least_angles(nodes: Array, triangles: NDArray) -> Array:
     """Smallest angle of each triangle in degrees."""
-    p = nodes[:, triangles]
-    angles = []
-    for i in range(3):
-        a, b = p[:, (i + 1) % 3] - p[:, i], p[:, (i + 2) % 3] - p[:, i]
-        angles.append(np.arctan2(np.abs(cross(a, b)), np.sum(a * b, axis=0)))
-    return np.rad2deg(np.min(angles, axis=0))
+    return np.rad2deg(np.min(angles(nodes, triangles), axis=0))
 
 
 def _rows(angle: float) -> ca.Function:

@@ -53,7 +53,7 @@ def _hanging(mesh: MeshTri) -> str | None:
     """A boundary node within a boundary edge of which it is no end."""
     ends, element = _boundary(mesh)
     nodes = np.unique(ends)
-    a, b = mesh.p[:, ends[0]], mesh.p[:, ends[1]]
+    a, b = (mesh.p[:, end] for end in ends)
     length = lengths(mesh.p, ends)
     tangent = (b - a) / length
     for edges, chosen in _near(a, b, mesh.p[:, nodes], np.zeros(nodes.size)):
@@ -75,7 +75,7 @@ def _hanging(mesh: MeshTri) -> str | None:
 def _crossing(mesh: MeshTri) -> str | None:
     """Two boundary edges that cross."""
     ends, element = _boundary(mesh)
-    a, b = mesh.p[:, ends[0]], mesh.p[:, ends[1]]
+    a, b = (mesh.p[:, end] for end in ends)
     length = lengths(mesh.p, ends)
     for edge, other in _near(a, b, 0.5 * (a + b), 0.5 * length):
         apart = ~np.any(ends[:, None, edge] == ends[None, :, other], axis=(0, 1))

@@ -68,6 +68,13 @@ def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
     return 0.5 * cross(b - a, c - a)
 
 
+def angles(nodes: NDArray, triangles: NDArray) -> NDArray:
+    """(3, triangles) angles at the vertices, in radians."""
+    p = nodes[:, triangles]
+    a, b = (np.roll(p, turn, axis=1) - p for turn in (1, 2))
+    return np.arctan2(np.abs(cross(a, b)), np.sum(a * b, axis=0))
+
+
 def counter_clockwise(nodes: NDArray, triangles: NDArray) -> Index:
     """The triangles (3, elements), clockwise ones turned."""
     t = np.array(triangles, dtype=np.int64)

@@ -91,8 +91,7 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
     triangles = relocation.parts.problem.triangles
     nodes = relocation.nodes(q)
     move = (relocation.nodes(q + step) - nodes)[:, triangles]
-    X = nodes[:, triangles]
-    a, b, u, v = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0], move[:, 1] - move[:, 0], move[:, 2] - move[:, 0]
+    (a, b), (u, v) = ((of[:, 1:] - of[:, :1]).swapaxes(0, 1) for of in (nodes[:, triangles], move))
     constant = (1 - KEPT) * cross(a, b)
     linear = cross(a, v) + cross(u, b)
     square = cross(u, v)

@@ -157,7 +157,7 @@ def located(nodes: Array, triangles: NDArray, points: Array) -> tuple[Index, Arr
 
 
 def _barycentric(corner: Array, point: Array) -> Array:
-    return 1 / 3 + np.einsum("vd...,d...->v...", gradients(corner), point - corner.mean(axis=1))
+    return 1 / 3 + np.einsum("dv...,d...->v...", gradients(corner), point - corner.mean(axis=1))
 
 
 def prolonged(coarse_nodes: Array, coarse_triangles: NDArray, shift: Array, fine: Discretisation) -> Array:

@@ -164,16 +164,22 @@ _LOOK = np.array([(1 - r, r * (1 - s), r * s) for r in (0.5, 1.0) for s in np.li
 
 def determinants(slopes: Array) -> Array:
     """Twice the area per unit of the reference triangle (m, k), from the slopes of :meth:`Body.at`."""
-    edge_1, edge_2 = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
-    return cross(edge_1, edge_2)
+    edges = slopes[:, 1:] - slopes[:, :1]
+    return cross(edges[:, 0], edges[:, 1])
+
+
+def edge_normals(corners: Array) -> Array:
+    """(2, 3, ...) outward normals, as long as the edges, of triangles with ``corners`` (2, 3, ...).
+
+    Edge i lies opposite corner i.
+    """
+    x, y = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
+    return np.stack([y, -x])
 
 
 def gradients(slopes: Array) -> Array:
-    """Gradients (3, 2, m, k) of the barycentric coordinates, from the slopes of :meth:`Body.at`."""
-    det = determinants(slopes)
-    edge_1, edge_2 = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
-    second, third = np.stack([edge_2[1], -edge_2[0]]) / det, np.stack([-edge_1[1], edge_1[0]]) / det
-    return np.stack([-second - third, second, third])
+    """Gradients (2, 3, m, k) of the barycentric coordinates, from the slopes of :meth:`Body.at`."""
+    return -edge_normals(slopes) / determinants(slopes)
 
 
 class Edges:
@@ -191,7 +197,7 @@ class Edges:
     @property
     def are_straight(self) -> bool:
         """Whether none is an arc."""
-        return not any(np.any(np.isin(self.facets, arcs.facets)) for arcs in self.body.arcs)
+        return bool(np.all(self.body.problem.curve_of_facet[self.facets] < 0))
 
     def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
         """Points (2, m, k) and lengths per unit of s (m, k) of edges ``rows`` (m,) at ``s`` (m, k)."""

@@ -58,7 +58,7 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     if close < exact:
         return mesh
     ends = mesh.facets[:, line_facets(mesh)]
-    node, *beside = _pairs(ends)
+    node, *beside = joints(ends)
     neighbours = [mesh.p[:, ends[:, facet].sum(axis=0) - node] for facet in beside]
     smooth = _distances(mesh.p[:, node], *neighbours) <= 10 * close
     piece = np.tile(pieces_of(np.stack(beside)[:, smooth], ends.shape[1]), 2)
@@ -183,7 +183,7 @@ def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> 
         outer = np.isin(facets, mesh.boundary_facets())
         parts, label = [every[~outer], every[outer]], np.zeros_like(label)
     for part in parts:
-        owner, first, second = _pairs(ends[:, part])
+        owner, first, second = joints(ends[:, part])
         first, second = part[first], part[second]
         turn = cross(direction[:, first], direction[:, second])
         slides = (np.abs(turn) < SEVEN_DIGITS) & (label[first] == label[second])
@@ -206,7 +206,7 @@ def on_curve(problem: ProblemData) -> Index:
         return result
     label = _labels(mesh)
     facets = np.flatnonzero(label > 0)
-    owner, first, second = _pairs(mesh.facets[:, facets])
+    owner, first, second = joints(mesh.facets[:, facets])
     first, second = facets[first], facets[second]
     for number, name in enumerate(curves):
         part = _members(mesh.boundaries, name, label.size)
@@ -220,7 +220,7 @@ def line_facets(mesh: MeshTri) -> Index:
     return np.flatnonzero(_labels(mesh) > 0)
 
 
-def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def joints(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Nodes with exactly two of these facets, and the numbers of both."""
     order = np.argsort(ends.ravel(), kind="stable")
     owner, start, count = np.unique(ends.ravel()[order], return_index=True, return_counts=True)

@@ -242,13 +242,11 @@ def _certificate(
     before: Bracket, after: Bracket, why: tuple[str, ...], bounds: dict[str, Bounds]
 ) -> Certificate:
     # half the square of the admissible displacement's error is at most the gap between the bounds
-    both = before, after
-    first, last = (each.upper - each.lower if each.upper >= each.lower else np.nan for each in both)
-    errors = [float(np.sqrt(2 * gap)) + each.distance for gap, each in zip((first, last), both, strict=True)]
+    errors = [float(np.sqrt(2 * each.gap)) + each.distance for each in (before, after)]
     return Certificate(
         lower=after.lower,
         upper=after.upper,
-        gaps=(first, last),
+        gaps=(before.gap, after.gap),
         error_bound_initial=errors[0],
         error_bound=errors[1],
         relative_initial=errors[0] / max(before.norm, 1e-300),

@@ -36,8 +36,8 @@ def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pyte
     body = Body(problem, problem.mesh.p)
     edges = Edges(body, np.concatenate([problem.mesh.boundaries[side] for side in ("bottom", "top")]))
 
-    def kink(_: Array, s: Array, __: Array, weights: Array) -> Array:
-        return np.sum(np.stack([np.abs(s - 0.3), s > 1 / 3]) * weights, axis=2)
+    def kink(_: Array, shares: Array, __: Array, weights: Array) -> Array:
+        return np.sum(np.stack([np.abs(shares[1] - 0.3), shares[1] > 1 / 3]) * weights, axis=2)
 
     found, doubt, _ = over_edges(edges, kink)
     assert found[0] == pytest.approx(np.full(2, 0.09 + 0.49), abs=1e-6)

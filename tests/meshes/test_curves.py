@@ -238,8 +238,8 @@ def test_slopes_are_derivatives_and_gradients_their_inverse(body: Body) -> None:
     difference = (body.at(elements, barycentric + step)[0] - body.at(elements, barycentric - step)[0]) / 2
     np.testing.assert_allclose(np.sum(slopes * step, axis=1), difference, atol=1e-11)
     found = gradients(slopes)
-    np.testing.assert_allclose(np.sum(found, axis=0), 0, atol=1e-12)
-    product = np.einsum("dvmk,vemk->mkde", slopes, found)  # dx/dx
+    np.testing.assert_allclose(np.sum(found, axis=1), 0, atol=1e-12)
+    product = np.einsum("dvmk,evmk->mkde", slopes, found)  # dx/dx
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-12)
     points, det = body.points(elements, barycentric)
     np.testing.assert_allclose(points, x, atol=1e-12)
