@@ -105,8 +105,8 @@ class Cells:
 
         Where it changes by d from one point to the next, and lies at most ``D t (1 - t) / 2`` below its
         chord, it is less than at both by ``(D / 2 - |d|)^2 / (2 D)`` if ``|d| < D / 2``, and else not at all.
-        In triangles d is not regarded, nor at the ends of an edge: a kink beside an end is seen from one side
-        alone, which bounds its depth and not the jump of the slope.
+        In triangles d is not regarded, nor for the foundation at the ends of an edge: a kink beside an end is
+        seen from one side alone, which bounds its depth and not the jump of the slope.
         """
         bend = np.zeros(self.distance.shape)
         for bends in self.bends.T:
@@ -114,11 +114,11 @@ class Cells:
             bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
         if self.are_triangles:
             return self.sag + bend / 6
-        bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * self.sag
-        change = np.abs(np.diff(self.at_points(displacement)))
-        change[:, [0, -1]] = 0.0
-        rest = np.maximum(bend / 2 - change, 0.0)
-        return self._beside(np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
+        dips = np.zeros_like(self.sag)
+        dips[:, [0, -1]] = self.sag[:, [0, -1]]
+        bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * (self.sag - dips)
+        rest = np.maximum(bend / 2 - np.abs(np.diff(self.at_points(displacement))), 0.0)
+        return self._beside(dips + np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
 
     @staticmethod
     def _beside(sag: NDArray) -> NDArray:
