@@ -139,7 +139,9 @@ class Adaptive(Wrapper):
                 ends = dict(zip(every, map(ended, zip(*sequence, strict=True)), strict=True))
                 peaks = {f"peak({name})" for name in unlimited_peaks(on.space, on.nodes, on.state)}
                 figures = {text: end.record(text not in peaks) for text, end in ends.items()}
-                solved = Outcome(outer, np.zeros(outer.n), Status.STALLED, label="")
+                reached = solved = Outcome(
+                    outer, np.zeros(outer.n), Status.STALLED, label="", details={"estimates": figures}
+                )
                 likely = [ends[text] for text in wanted]
                 allowed = np.maximum(parts * np.abs([end.value for end in likely]), 1e-300)
                 errors = np.array([end.error * end.converges / (1.0 if number else FIRST) for end in likely])

@@ -186,6 +186,14 @@ def test_bounds_that_stay_wide_end_the_refinement(body: rm.ContactProblem) -> No
     assert "would not suffice" in solution.details["estimates_remark"]
 
 
+def test_estimates_stay_where_there_is_no_certificate(body: rm.ContactProblem) -> None:
+    rough = replace(body, obstacle=rm.Obstacle.graph("bottom", lambda x, y: -0.02 - 0.03 * x, coulomb=0.3))
+    solution = rm.solve(rough, accuracy=0.05, guaranteed=True)
+    assert not solution.success
+    assert "Coulomb" in solution.details["estimates_remark"]
+    assert solution.details["estimates"]["resultant(bottom)"]["error"] > 0
+
+
 @pytest.mark.slow
 def test_bounds_that_are_not_guaranteed_do_not_count(body: rm.ContactProblem) -> None:
     unsure = SimpleNamespace(bounds={"resultant(bottom)": Bounds(FORCE, FORCE, FORCE, False)})
