@@ -145,7 +145,7 @@ def bounded(
                 value = float(np.sum(on.means[edges.ends] * shape_integrals(edges, weight).value))
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
-            where = None if callable(weight) else within(exact, after.lower, part, low)
+            where = within(exact, after.lower, part, low) if is_known and not callable(weight) else None
             bounds[text] = Bounds(low, value, high, is_known, where)
     if ENERGY in quantities:
         bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
