@@ -188,11 +188,13 @@ class Adaptive(Wrapper):
                         )
                     outer = replace(outer, contact=on.solver(finer))
 
+        lacks = f"The accuracy {self.accuracy:g} was not reached"
         try:
             monitor.attempt(refine)
         except (NotCertifiableError, ProblemError) as error:
-            reached = reached.having({"estimates_remark": one_line(error)})
+            reached = reached.having({"estimates_remark": (why := one_line(error))})
+            lacks += f": {why}" + "; errors are estimated without --guaranteed" * self.guaranteed
         if self.relocates and reached.status is Status.CONVERGED:
             return monitor.run(self.inner, reached.outer, reached.q).having({"meshes": meshes})
-        lacks = f"The accuracy {self.accuracy:g} was not reached." * (reached.status is Status.STALLED)
+        lacks = f"{lacks}." * (reached.status is Status.STALLED)
         return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)

@@ -27,7 +27,7 @@ said that it may have no limit."""
 
 @dataclass(frozen=True)
 class ContactResult:
-    """Results of a contact boundary, per unit of depth.
+    """Results of a contact boundary, per unit of depth or of the whole revolution.
 
     Attributes
     ----------
@@ -95,6 +95,8 @@ def _vector(nodes: Array, pressure: ContactStress, friction: ContactStress) -> d
         f_x, f_y = pressure.nodal[own] * (n_x, n_y) + friction.nodal[own] * (n_y, -n_x)
         x, y = space.points(nodes)[:, places]
         totals += [np.sum(values) for values in (f_x, f_y, x * f_y - y * f_x)]
+    if space.problem.axisymmetric:
+        totals[::2] = 0.0  # they cancel around the axis
     return dict(zip(("force_x", "force_y", "moment"), totals.tolist(), strict=True))
 
 

@@ -94,7 +94,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     problem for which no certificate is known.
     """
     if not problem.has_energy:
-        raise NotCertifiableError("with Coulomb friction no energy is minimised: --accuracy estimates errors")
+        raise NotCertifiableError("with Coulomb friction no energy is minimised")
     skeleton, u = skeleton_of(problem, nodes), guess.displacement
     field = equilibrated(problem, skeleton, guess)
     conditions, load = field.balance.assembled.conditions, field.load

@@ -173,8 +173,8 @@ def check_normal(obstacle: Obstacle) -> None:
     """Raise a NotCertifiableError unless an obstacle has one normal."""
     if obstacle.level is not None:
         raise NotCertifiableError(
-            "the normal of a curved foundation or pair turns along an edge: --accuracy estimates errors, of "
-            "tools at order 2; a foundation by its height above x has one normal, and a certificate"
+            "the normal of a curved foundation or pair turns along an edge: a foundation by its height above "
+            "x has one normal, and a certificate"
         )
 
 

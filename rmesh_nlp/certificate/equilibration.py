@@ -109,7 +109,7 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         raise NotCertifiableError("of a law whose energy varies no stress in equilibrium is known")
     if np.any(problem.on_axis):
         raise NotCertifiableError(
-            "a body of revolution that meets its axis has none: r times its stress is 0 there"
+            "a body of revolution that meets its axis has no bounds: r times its stress is 0 there"
         )
     if problem.origin is not None and problem.frictional:
         raise NotCertifiableError("friction counts slip from an earlier load step")

@@ -161,8 +161,7 @@ def _say(done: Done, *, in_full: bool) -> None:
         )
         for sentence in certificate.sentences:
             print(sentence)
-    remarks = done.row.get("certificate_remark"), done.row.get("estimates_remark")
-    for remark in filter(None, (solution.safe, *remarks)):
+    for remark in filter(None, (solution.safe, done.row.get("certificate_remark"))):
         print(f"note: {remark}")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.io.records import Records
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.problem.units import Units, units_of
+from rmesh_nlp.problem.units import units_of
 from rmesh_nlp.report.blocks import blocks, grouped, label
 from rmesh_nlp.report.joined import refinement_notes
 
@@ -63,17 +63,12 @@ def shared_notes(records: Records) -> list[str]:
 
 
 def units_notes(records: Records) -> list[str]:
-    """The units of u and J of the problems that name theirs."""
+    """The units of lengths, forces and energies of the problems that name theirs."""
     named = grouped(blocks(records), lambda block: (units_of(block.records[0]), block.has_energy))
     return [
-        f"{', '.join(dict.fromkeys(block.name for block in own))}: {_units_in_words(units, energy)}"
+        f"{', '.join(dict.fromkeys(block.name for block in own))}: lengths in {units.length}, forces in "
+        f"{units.force} {'of the whole revolution' if units.per else f'per {units.length} of depth'}"
+        f"{f', J in {units.energy}' * energy}."
         for (units, energy), own in named.items()
         if units.length and units.force
     ]
-
-
-def _units_in_words(units: Units, energy: bool) -> str:
-    per = "of the whole revolution" if units.per else f"per {units.length} of depth"
-    if energy:
-        return f"u in {units.length}, J in {units.energy}, the energy {per}."
-    return f"lengths in {units.length}, forces in {units.force} {per}."

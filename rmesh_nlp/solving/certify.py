@@ -268,7 +268,7 @@ def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:
     try:
         return bounded(assessment), None
     except FAULTS as error:
-        return None, f"no certificate: {one_line(error)}"
+        return None, f"no certificate: {one_line(error)}; --accuracy estimates errors"
 
 
 def estimated(outer: Outer, final: State, certificate: Certificate | None = None) -> ByName:

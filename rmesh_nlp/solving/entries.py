@@ -211,8 +211,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
               "tangents), `peak_pressure`, `contact_length`, and of an elastic body `force_x`, `force_y` and "
               "`moment` (about the origin, counter-clockwise) of the foundation on the body, pressure and "
-              "friction together, of a body of revolution integrals of those in its half-section; on the "
-              "final mesh, with `_initial` on the given one, and with "
+              "friction together, of a body of revolution `force_y` along the axis (the others are 0); on "
+              "the final mesh, with `_initial` on the given one, and with "
               "`_refined` where its refinement was solved ([how](theory.md#contact-results)).",
               lambda s: s.contact or None),
         Entry("pairs", dict[str, list[str]], "By the first of two boundaries in contact with each other the "

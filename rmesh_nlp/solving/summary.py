@@ -160,8 +160,9 @@ def contact_rows(solution: Relocated) -> Rows:
             least = ROUNDING * results["normal_force"]
             vector = (results[name] for name in ("force_x", "force_y", "moment"))
             x, y, moment = (figure(value if abs(value) > least else 0.0) for value in vector)
-            label = f"{place}: force on the {'first ' * (place != boundary)}body{bracketed(units.line_force)}"
-            rows.append((label, f"({x}, {y}), moment {moment}"))
+            body = f"force on the {'first ' * (place != boundary)}body{bracketed(units.line_force)}"
+            said = y if units.per else f"({x}, {y}), moment {moment}"
+            rows.append((f"{place}: {'axial ' * bool(units.per)}{body}", said))
         if boundary in solution.tools:
             moved = ", ".join(map(figure, solution.tools[boundary]["displacement"]))
             rows.append((f"{boundary}: displacement of the tool{bracketed(units.length)}", f"({moved})"))

@@ -120,6 +120,11 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
     assert record["units"] == {"length": "mm", "force": "N", "per": "revolution"}
     rows = dict(solution.summary())
     assert "bottom: normal force [N, whole revolution]" in rows
+    force, axial = record["contact"]["bottom"], "bottom: axial force on the body [N, whole revolution]"
+    assert float(rows[axial]) == pytest.approx(force["force_y"], rel=1e-5)
+    assert force["tangential_force"] != 0  # which cancels around the axis
+    assert force["force_y"] == pytest.approx(record["resultant"], rel=1e-9)
+    assert force["force_x"] == force["moment"] == 0
     assert "bottom: peak pressure [N/mm²]" in rows
     for objective in ("energy", "level-pressure(bottom)", "mean(right, ux) + area"):
         assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1), objective
@@ -128,6 +133,7 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
 def test_certificate_of_a_body_on_its_axis_is_refused_in_words() -> None:
     told = rm.solve(pressed(2, 0.0, 1), "fixed", certify=True).record()["certificate_remark"]
     assert "meets its axis" in told
+    assert told.endswith("--accuracy estimates errors")
 
 
 @pytest.mark.parametrize("order", ORDERS)

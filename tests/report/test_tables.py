@@ -360,7 +360,7 @@ METRES = {"units": {"length": "m", "force": "N"}}
     [
         ([joint_62(), EARLY], 1, "a success that is valid and not worse than the given mesh, but not"),
         ([joint_62(**METRES), joint_62(example="6.3", **METRES), joint_61(units={})], 1,
-         "Example 6.2, Example 6.3: u in m, J in N, the energy per m of depth."),
+         "Example 6.2, Example 6.3: lengths in m, forces in N per m of depth, J in N."),
         ([joint_62(example="6.1", energy=-4.51, energy_audited=-1.1, energy_above_exact=0.845)], 1,
          "joint: the energy -4.510000 lies BELOW the infimum -1.945000: its quadrature"),
         ([joint_62(guaranteed_lower=True, energy_lower_bound=-4.9)], 1,
