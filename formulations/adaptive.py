@@ -188,13 +188,13 @@ class Adaptive(Wrapper):
                         )
                     outer = replace(outer, contact=on.solver(finer))
 
-        lacks = f"The accuracy {self.accuracy:g} was not reached"
+        why = ""
         try:
             monitor.attempt(refine)
         except (NotCertifiableError, ProblemError) as error:
-            reached = reached.having({"estimates_remark": (why := one_line(error))})
-            lacks += f": {why}" + "; errors are estimated without --guaranteed" * self.guaranteed
+            reached = reached.having({"estimates_remark": (said := one_line(error))})
+            why = f": {said}{'; errors are estimated without --guaranteed' * self.guaranteed}"
         if self.relocates and reached.status is Status.CONVERGED:
             return monitor.run(self.inner, reached.outer, reached.q).having({"meshes": meshes})
-        lacks = f"{lacks}." * (reached.status is Status.STALLED)
+        lacks = f"The accuracy {self.accuracy:g} was not reached{why}." * (reached.status is Status.STALLED)
         return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)

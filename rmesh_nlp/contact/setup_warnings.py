@@ -239,14 +239,15 @@ def _loads(model: ContactSolver, system: ContactSystem, accurate: Array | None) 
     varying = any(map(callable, loads))
     for traction in problem.tractions:
         nodes = model.discretisation.space.nodes_of(edges_on(problem.mesh, traction.boundary))
+        is_axis = np.all(problem.on_axis[problem.boundary_nodes(traction.boundary)])
         for i, part in enumerate(traction.value):
-            if np.any(index[i, nodes] >= 0):
+            if np.any(index[i, nodes] >= 0) and not is_axis:
                 loads += [part]
             elif is_nonzero(part):
                 yield SetupWarning(
                     "idle",
                     f"component {i + 1} of the traction on {traction.boundary!r} has no effect: "
-                    "the displacement is given there in this component",
+                    f"{'r is 0 there' if is_axis else 'the displacement is given there in this component'}",
                 )
     if any(map(is_nonzero, loads)) and not np.any(system.load):  # which has what given displacements pull
         yield SetupWarning("load", "the loads vanish on this mesh: do they use the same lengths as the mesh?")

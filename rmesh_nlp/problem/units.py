@@ -35,7 +35,7 @@ class Units:
     def line_force(self) -> str:
         """Unit of contact forces: force per unit of depth if both are named, or of the revolution."""
         if self.per:
-            return ", ".join(filter(None, (self.force, "whole revolution")))
+            return f"{self.force}, whole revolution".removeprefix(", ")
         return f"{self.force}/{self.length}" if self.length and self.force else ""
 
     @property

@@ -50,8 +50,15 @@ def of(*names: str) -> tuple[Column, ...]:
     return tuple(Column(one.heading or one.name.replace("_", "|"), one.name, one.digits) for one in entries)
 
 
-VECTOR = ("force_x", "force_y", "moment")
-RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length", *VECTOR)
+RESULTS = (
+    "normal_force",
+    "tangential_force",
+    "peak_pressure",
+    "contact_length",
+    "force_x",
+    "force_y",
+    "moment",
+)
 OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
 
 

@@ -130,6 +130,12 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
         assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1), objective
 
 
+def test_traction_on_the_axis_is_warned_of() -> None:
+    pulled = pressed(2, 0.0, 1, tractions=(rm.Traction("left", (0.0, 1.0)), rm.Traction("top", (0.0, 1.0))))
+    (said,) = rm.solve(pulled, "fixed", audit=False).record()["warnings"]
+    assert said == "component 2 of the traction on 'left' has no effect: r is 0 there"
+
+
 def test_certificate_of_a_body_on_its_axis_is_refused_in_words() -> None:
     told = rm.solve(pressed(2, 0.0, 1), "fixed", certify=True).record()["certificate_remark"]
     assert "meets its axis" in told
