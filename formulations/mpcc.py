@@ -127,8 +127,10 @@ class AllAtOnce(Formulation):
             track.residual = lambda x: outer.residual.of_state(*_state(program, x))
         x = program.point(point)
         own = _options(outer, program.value / pull(outer.function(q).gradient))
+        # where relocation changes the objective by little its multipliers are small in units of the model
+        zero = min(Options.stationarity, outer.tolerance * outer.residual.unit / program.value)
         with monitor.budget.during("build"):
-            options = {"relaxation": self.relaxation, **OPTIONS, **own, **self.options}
+            options = {"relaxation": self.relaxation, "stationarity": zero, **OPTIONS, **own, **self.options}
             solver = MPCCSolver(program.mpcc, **options)
         result = solver(x, on_iteration=track.iterate, budget=monitor.budget.share(most))
         monitor.work += Work(kkt_factorisations=track.iterations)

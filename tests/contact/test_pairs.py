@@ -192,6 +192,12 @@ def test_formulations_agree_on_relocated_pairs(make: Any) -> None:
         assert ("nodes on arcs that fit held" in (end.safe or "")) is is_round
 
 
+def test_mpcc_ends_stationary_where_relocation_gains_little() -> None:
+    """A multiplier of the wrong sign may be below the default tolerance of the MPCC solver there."""
+    load = rm.Traction("top-1", (0.0, lambda x, y: -5 - 0.1 * (0.5 - x)))
+    assert rm.solve(replace(bent(1), tractions=(load,)), "mpcc").status.value == "converged"
+
+
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("other", [0.0, 5e-4])
 def test_gaps_hold_along_edges_of_a_pair(order: int, other: float) -> None:
