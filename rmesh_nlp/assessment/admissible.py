@@ -118,7 +118,7 @@ class Continuous:
         return self._bare.with_offset(self._bare.offset - standoff)
 
     def shifted(self, contact: ContactSet, by: Coefficient) -> Continuous:
-        """The same with the straight foundation of a contact set raised along its normal by a length."""
+        """The same with the foundation of a contact set raised along its normals by a length."""
         other, offset, gap = copy(self), self._bare.offset.copy(), contact.obstacle.offset
         offset[contact.rows] -= self.space.interpolant(by, self.body.nodes)[0, contact.nodes]
         vars(other).update(_bare=self._bare.with_offset(offset), _reduced=self._reduced)

@@ -32,9 +32,9 @@ from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
 from rmesh_nlp.certificate.oscillation import oscillation
-from rmesh_nlp.certificate.polynomials import moments
+from rmesh_nlp.certificate.polynomials import mass, moments
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
-from rmesh_nlp.evaluation import PROVED, Array
+from rmesh_nlp.evaluation import PROVED, Array, magnitude
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion
@@ -100,7 +100,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     conditions, load = field.balance.assembled.conditions, field.load
     traction, inside = conditions.traction, conditions.inside
     balance, strain, computed = field.balance, float(np.sum(field.energy)), float(np.sum(field.computed))
-    on_edges = balance.pressure * skeleton.lengths[conditions.contact]
+    edge = skeleton.lengths[conditions.contact]
+    on_edges = balance.pressure * edge
     on_elements = balance.inside * skeleton.areas[inside.elements]
     pressure_work = float(np.sum(on_edges * conditions.offset) + np.sum(on_elements * inside.offset))
     residual = float(np.max([field.residual, edge_residual(skeleton, conditions, field)]))
@@ -110,15 +111,17 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
         + traction.doubtful_work(u)
         + float(np.sum(on_edges * conditions.offset_doubt) + np.sum(on_elements * inside.offset_doubt))
         + abs(balance.reaction_work) * conditions.given_doubt
+        + 2 * magnitude(u) * float(np.sum((on_edges + abs(balance.friction) * edge) * conditions.axes_doubt))
     )
-    r = oscillation(skeleton, load.remainder, traction.remainder, field.fields.law.gradient_by_energy)
+    unmet = traction.remainder + turning(skeleton, conditions, balance)
+    r = oscillation(skeleton, load.remainder, unmet, field.fields.law.gradient_by_energy)
     spread = field.variation * r + r**2 / 2
     dual = balance.reaction_work - strain - pressure_work
     lower = float(dual - np.sum(spread) - doubt - rounding)
     friction = _friction_work(skeleton, conditions, u)
     on_tools = sum(u[:, tool] @ force for tool, force in skeleton.space.forces)
     upper = float(computed - load.work(u) - traction.work(u) - on_tools + np.sum(friction))
-    through = _slack(balance, u) * skeleton.lengths[conditions.contact] + friction
+    through = _slack(balance, u) * edge + friction
     local = field.defect**2 / 2 + spread
     local += np.bincount(skeleton.owner[conditions.contact], through, local.size)
     gap = inside.sign * moments(u[0, skeleton.space.elements[:, inside.elements]], 3)
@@ -156,6 +159,20 @@ def _slack(balance: Balance, u: Array) -> Array:
         for rows in (assembled.normals, assembled.tangents)
     )
     return np.sum(balance.pressure * (gap + offset) + balance.friction * slip, axis=0)
+
+
+def turning(skeleton: Skeleton, conditions: Conditions, balance: Balance) -> Array:
+    """(edges,) L2 norm of what the field's polynomials leave of contact stresses where normals turn."""
+    result, products = 0 * skeleton.lengths, mass(skeleton.space.order, 2)
+    for part in conditions.parts:
+        if part.obstacle.level is not None:
+            own = np.stack([balance.friction, balance.pressure])[..., part.place]
+            met = np.einsum("ejalc,aje->cle", conditions.axes[part.place], own)
+            whole, met = (np.einsum("aje,jl,ale->e", each, products, each) for each in (own, met))
+            square = skeleton.lengths[part.edges] * np.maximum(whole - met, 1e-15 * whole)
+            result[part.edges] = np.sqrt(square)
+            result[part.others] = np.sqrt(square)[: part.others.size]
+    return result
 
 
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:

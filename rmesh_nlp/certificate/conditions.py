@@ -7,7 +7,8 @@ On every edge the tractions of the elements beside it must add up to
 g the given traction, p >= 0 the contact pressure along the obstacle's normal n, |q| <= s friction along its
 tangent t, and R the reaction in those components whose displacement is given. The other edge of a pair has
 the opposite of p n + q t, and a tool on which the force F acts the integral of it: that of p n + q t is F in
-each component along which the tool moves.
+each component along which the tool moves. Where n turns along an edge the field balances the best
+approximation of p n + q t by polynomials of its degree, as it does of loads.
 """
 
 from __future__ import annotations
@@ -17,16 +18,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.assessment.integrals import RULES
+from rmesh_nlp.assessment.integrals import RULES, over_edges
 from rmesh_nlp.assessment.parts import Parts, edge_parts, refined, triangle_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
-from rmesh_nlp.certificate.polynomials import powers
+from rmesh_nlp.certificate.polynomials import powers, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.standoff import LATTICES, SAMPLES
 from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import PROVED, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
+from rmesh_nlp.meshes.geometry import lengths
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points, product
@@ -75,7 +77,8 @@ class Conditions:
     offset_doubt: Array  # (k, contact edges)
     friction: Array  # (k, contact edges), a function that nowhere exceeds the friction bound; 0 for a scalar
     coulomb: Array  # (k, contact edges), Coulomb's coefficient
-    axes: Array  # (contact edges, components, components), rows: the obstacle's tangent, if any, and normal
+    axes: Array  # (contact edges, k, components, k, components), moments along tangent, if any, and normal
+    axes_doubt: Array  # (k, contact edges), what these may be wrong by on a displacement of size 1
     parts: tuple[ContactPart, ...]  # the contact edges obstacle by obstacle
     inside: Inside
     is_certain: bool  # whether it is known where the data jump and kink
@@ -93,8 +96,8 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     is_certain &= traction.is_certain and inside_is_certain
     parts = _contact_parts(problem, skeleton, held)
     contact = numbers_of(part.edges for part in parts)
-    offset, offset_doubt, friction, coulomb = np.zeros((4, order + 1, contact.size))
-    axes = np.zeros((contact.size, n, n))
+    offset, offset_doubt, friction, coulomb, axes_doubt = np.zeros((5, order + 1, contact.size))
+    axes = np.zeros((contact.size, order + 1, n, order + 1, n))
     for part in parts:
         obstacle = part.obstacle
         edges = Edges(skeleton.body, part.edges)
@@ -106,10 +109,35 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
                 friction[:, part.place] = functions(1, powers(order, 2).T / order).T @ below
                 coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, skeleton, part.edges)
                 is_certain &= known
+            axes[part.place], axes_doubt[:, part.place], known = _axes(obstacle, edges, order)
+            is_certain &= known
         offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
-        axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
-    supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, coulomb, axes)
-    return Conditions(*supports, traction, contact, *gaps, parts, inside, is_certain)
+    supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, coulomb)
+    return Conditions(*supports, traction, contact, *gaps, axes, axes_doubt, parts, inside, is_certain)
+
+
+def _axes(obstacle: Obstacle, edges: Edges, order: int) -> tuple[Array, Array, bool]:
+    """Axes and their doubt on edges, as in :class:`Conditions`, and whether nothing of a normal hides."""
+    k = order + 1
+    if obstacle.level is None:
+        along = np.multiply.outer(obstacle.normal, np.repeat(np.eye(k)[..., None], edges.size, axis=2))
+        doubt, is_certain = np.zeros((k, edges.size)), True
+    else:
+
+        def tested(_: Index, shares: Array, where: Array, weights: Array) -> Array:
+            phi, unit = functions(order, shares), weights / edges.body.problem.measured(where)
+            sums = np.einsum("jmp,lmp,cmp,mp->cjlm", phi, phi, obstacle.normals(where), unit)
+            return sums.reshape(-1, len(unit))
+
+        directions = tuple(lambda x, y, c=c: obstacle.direction(x, y)[c] for c in range(2))
+        sums = over_edges(edges, tested, directions)
+        along, doubt = (
+            part.reshape(2, k, k, -1) / lengths(edges.body.nodes, edges.ends)
+            for part in (sums.value, sums.doubt)
+        )
+        along, doubt, is_certain = projection(along, 2), np.sum(doubt, axis=(0, 2)), sums.is_certain
+    each = np.stack([[along[1], -along[0]], along]) if len(along) == 2 else along[None]
+    return each.transpose(4, 2, 0, 3, 1), doubt, is_certain
 
 
 def _given_displacement(
@@ -169,15 +197,6 @@ def _is_seen_inside(offset: Coefficient, skeleton: Skeleton, elements: Index) ->
     return not np.any(is_narrow) and bool(np.all(resolved(offset, points, RULES[1])[0]))
 
 
-def check_normal(obstacle: Obstacle) -> None:
-    """Raise a NotCertifiableError unless an obstacle has one normal."""
-    if obstacle.level is not None:
-        raise NotCertifiableError(
-            "the normal of a curved foundation or pair turns along an edge: a foundation by its height above "
-            "x has one normal, and a certificate"
-        )
-
-
 def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> tuple[ContactPart, ...]:
     """Of each boundary with contact the edges on which the gap is not given beforehand."""
     parts: list[ContactPart] = []
@@ -185,8 +204,7 @@ def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> t
     for number, (obstacle, partner) in enumerate(zip(problem.obstacles, problem.partners, strict=True)):
         if isinstance(obstacle.boundary, Place):
             continue
-        check_normal(obstacle)
-        normal = np.array(obstacle.normal) != 0
+        normal = (np.array(obstacle.normal) != 0) | (obstacle.level is not None)
         both = np.unique(problem.mesh.boundaries[obstacle.boundary])[None]
         if obstacle.other:
             both = edges_of_pair(problem.mesh, obstacle.boundary, obstacle.other)

@@ -36,7 +36,6 @@ from scipy.spatial import cKDTree
 
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.conditions import check_normal
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import of_displacement
 from rmesh_nlp.certificate.hybrid import turned
@@ -255,8 +254,8 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
         np.add.at(component, load.nodes, moments * load.measure)
     if text in tools:
         component, place = tools[text]
-        if on.problem.order == 1:
-            check_normal(on.problem.obstacles[on.problem.tools[place]])
+        if on.problem.order == 1 and on.problem.obstacles[on.problem.tools[place]].level is not None:
+            raise NotCertifiableError("errors are estimated of round tools at order 2")
         push[component, space.n_nodes + place] = 1.0
     acting = load.balanced * load.measure, push[:, space.n_nodes :]
     return Quantity(float(np.sum(push * on.u)), on.dual(gap, push), acting)
@@ -304,9 +303,10 @@ def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """Estimates by a field in equilibrium; a NotCertifiableError where none is known."""
     problem, state = on.problem, on.state
-    if problem.motion.curves or problem.axisymmetric:
+    turns = any(part.level is not None for part in problem.obstacles)
+    if problem.motion.curves or problem.axisymmetric or turns:
         raise NotCertifiableError(
-            "the body has curves, or r times a stress of a displacement is no polynomial"
+            "body or foundation are curved, or r times a stress of a displacement is no polynomial"
         )
     if any(np.any(part.partner == np.arange(on.space.n_nodes)) for part in on.space.contact_sets):
         raise NotCertifiableError("no displacement opens a crack at its end")

@@ -39,14 +39,14 @@ def force_bounds(
 ) -> tuple[float, float]:
     """Bounds, from below and above, of the integral of the pressure of a contact set times a weight.
 
-    ``exact`` is an admissible displacement of a problem without level functions, ``lower`` a bound of the
-    least energy. A bound is infinite where there is none. The force of a tool that may move along its normal
-    is known.
+    ``exact`` is an admissible displacement, ``lower`` a bound of the least energy. A bound is infinite where
+    there is none. The force of a straight tool that may move along its normal is known.
     """
     continuous, active, rows = exact.continuous, exact.state.active, contact.rows
     shape = continuous.space.interpolant(weight, exact.body.nodes)[0, contact.nodes]
     tool, is_whole = contact.obstacle, not callable(weight)
-    if is_whole and tool.force is not None and not np.any(np.array(tool.normal)[~np.array(tool.moves)]):
+    is_straight = is_whole and tool.level is None
+    if is_straight and tool.force is not None and not np.any(np.array(tool.normal)[~np.array(tool.moves)]):
         return (float(np.dot(tool.force, tool.normal)),) * 2
 
     def upper(by: float) -> float:

@@ -48,14 +48,15 @@ class Hybrid:
     applied: Array  # (traces,), the given forces on edges and tools
     load: Array  # (traces,)
     numbers: Index  # (elements, k), the traces of each element
-    turn: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
+    axes: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
+    turn: sp.csr_array  # the same of forces: the transpose of its inverse
     held: Mask  # (traces,), which are given
     start: Array  # (traces,), those of the displacement from which W is counted
     base: Array  # (traces,), those from which the system counts; along friction they do not slip
 
     def of_displacement(self, u: Array) -> Array:
         """(traces,) those of a displacement with coefficients (components, nodes)."""
-        return _of_displacement(self.turn, self.skeleton, self.conditions, u)
+        return _of_displacement(self.axes, self.skeleton, self.conditions, u)
 
     def by_element(self, W: Array) -> Array:
         """(elements, k) traces (traces,) of each element, in Cartesian components."""
@@ -70,15 +71,19 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     skeleton, inside, space = fields.skeleton, conditions.inside, fields.skeleton.space
     (n, k, _), problem = conditions.given.shape, space.problem
     on_edges, lengths, none = skeleton.traces(n, k), skeleton.lengths, np.zeros(inside.offset.shape)
-    turn = _turn(conditions, none.size + len(problem.tools))
+    kept = none.size + n * len(problem.tools)
+    blocks = conditions.axes.reshape(-1, n * k, n * k)
+    axes, turn = (
+        _turn(conditions, each, kept) for each in (blocks, np.linalg.inv(blocks).transpose(0, 2, 1))
+    )
     edges, size = n * k * lengths.size, turn.shape[0]
     added = np.arange(edges, edges + none.size)
     numbers = np.hstack([on_edges, added.reshape(len(on_edges), -1)])
 
-    start = _of_displacement(turn, skeleton, conditions, u)
+    start = _of_displacement(axes, skeleton, conditions, u)
     held = np.repeat(conditions.held[:, None], k, axis=1)
-    held = np.abs(turned(turn, held, none, problem.tools_held)) > 0.5
-    base, free = np.where(held, turned(turn, conditions.given), start), np.flatnonzero(~held)
+    held = np.abs(turned(axes, held, none, problem.tools_held)) > 0.5
+    base, free = np.where(held, turned(axes, conditions.given), start), np.flatnonzero(~held)
     on_tools = np.reshape([force for _, force in space.forces], (-1, n)).T
     applied = turned(turn, conditions.traction.balanced * lengths, none, on_tools)
     load = applied.copy()
@@ -101,7 +106,7 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     # friction turns where the slip is zero
     base = base - own.T @ (tangents @ base / np.maximum(share, 1.0))
     motions = space.rigid_motions(skeleton.nodes)
-    rigid = [_of_displacement(turn, skeleton, conditions, motion)[free] for motion in motions]
+    rigid = [_of_displacement(axes, skeleton, conditions, motion)[free] for motion in motions]
     system = ContactSystem(
         matrix[free][:, free],
         (load - matrix @ (base - start))[free],
@@ -115,7 +120,7 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
         coulomb=None if problem.has_energy else coulomb,
     )
     forces = system, normals, tangents, matrix, applied, load
-    return Hybrid(skeleton, conditions, *forces, numbers, turn, held, start, base)
+    return Hybrid(skeleton, conditions, *forces, numbers, axes, turn, held, start, base)
 
 
 def turned(turn: sp.csr_array, *parts: NDArray) -> Array:
@@ -140,8 +145,8 @@ def jumps(skeleton: Skeleton, conditions: Conditions) -> list[sp.csr_array]:
         others[:, :2] = np.where(part.reversed, others[:, 1::-1], others[:, :2])
         met[:, :, part.place][:, :, : part.others.size] = others
         if part.number in tools:  # the moments of a constant
-            axes = conditions.axes[part.place].transpose(1, 0, 2)
-            moved[:, :, part.place, tools.index(part.number)] = axes[:, None] / k
+            axes = np.mean(conditions.axes[part.place], axis=3)
+            moved[:, :, part.place, tools.index(part.number)] = axes.transpose(2, 1, 0, 3)
     count = number.size + conditions.inside.offset.size
     trace = sp.csr_array(sp.eye_array(count + 1, count))  # the last one is of nothing
     own = number[:, :, conditions.contact]
@@ -151,21 +156,25 @@ def jumps(skeleton: Skeleton, conditions: Conditions) -> list[sp.csr_array]:
     ]
 
 
-def _of_displacement(turn: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
+def _of_displacement(axes: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
     """See :meth:`Hybrid.of_displacement`."""
     space, tools = skeleton.space, u[:, skeleton.space.n_nodes :]
     inside = space.elements[:, conditions.inside.elements]
-    return turned(turn, moments(u[:, skeleton.along]), moments(u[:1, inside], 3), tools)
+    return turned(axes, moments(u[:, skeleton.along]), moments(u[:1, inside], 3), tools)
 
 
-def _turn(conditions: Conditions, added: int) -> sp.csr_array:
-    """From Cartesian components to the axes of contact edges; the last ``added`` blocks stay as they are."""
+def _turn(conditions: Conditions, blocks: Array, kept: int) -> sp.csr_array:
+    """From Cartesian components to the axes of contact edges by ``blocks``; the last ``kept`` traces stay."""
     n, k, edges = conditions.given.shape
-    data = np.tile(np.eye(n), (k * edges + added, 1, 1))
-    of_edges, axes = data[: k * edges].reshape(edges, k, n, n), conditions.axes[:, None]
-    of_edges[conditions.contact] = axes
+    data = np.tile(np.eye(n * k), (edges, 1, 1))
+    data[conditions.contact] = blocks
+    ends = np.arange(n * k).reshape(k, n)
+    ends[:2] = ends[1::-1]
     for part in conditions.parts:
-        of_edges[part.others] = axes[part.place][: part.others.size]
-    turn = sp.csr_array(sp.bsr_array((data, np.arange(len(data)), np.arange(len(data) + 1))))
+        own = blocks[part.place][: part.others.size]
+        turned_round = own[:, ends.ravel()[:, None], ends.ravel()]
+        data[part.others] = np.where(part.reversed[:, None, None], turned_round, own)
+    of_edges = sp.bsr_array((data, np.arange(edges), np.arange(edges + 1)))
+    turn = sp.csr_array(sp.block_diag([of_edges, sp.eye_array(kept)], "csr"))
     turn.eliminate_zeros()
     return turn

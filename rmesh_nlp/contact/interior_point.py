@@ -108,7 +108,8 @@ class BarrierProgram:
         z = z + energy / np.maximum(y, 1e-300)  # nothing to do where all are zero
         while np.all(y * z > 0) and is_finite(z / y):
             try:
-                u, s, y, z = self._step(u, s, y, z)
+                with np.errstate(over="ignore", invalid="ignore"):  # where nothing is least
+                    u, s, y, z = self._step(u, s, y, z)
             except RuntimeError:  # singular
                 return
             yield u, y, z

@@ -108,16 +108,18 @@ class Cells:
         In triangles d is not regarded, nor for the foundation at the ends of an edge: a kink beside an end is
         seen from one side alone, which bounds its depth and not the jump of the slope.
         """
-        bend = np.zeros(self.distance.shape)
-        for bends in self.bends.T:
-            bent = np.einsum("cvm,v->cm", self.contact.relative(displacement)[:, self.nodes], bends)
-            bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
         if self.are_triangles:
+            bend = np.zeros(self.distance.shape)
+            for bends in self.bends.T:
+                bent = np.einsum("cvm,v->cm", self.contact.relative(displacement)[:, self.nodes], bends)
+                bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
             return self.sag + bend / 6
-        dips = np.zeros_like(self.sag)
+        gaps, dips = self.at_points(displacement), np.zeros_like(self.sag)
         dips[:, [0, -1]] = self.sag[:, [0, -1]]
+        bend = np.diff(gaps - self.distance, 2)
+        bend = np.maximum(np.pad(bend, ((0, 0), (1, 1)), "reflect", reflect_type="odd"), 0.0)
         bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * (self.sag - dips)
-        rest = np.maximum(bend / 2 - np.abs(np.diff(self.at_points(displacement))), 0.0)
+        rest = np.maximum(bend / 2 - np.abs(np.diff(gaps)), 0.0)
         return self._beside(dips + np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
 
     @staticmethod

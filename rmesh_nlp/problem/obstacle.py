@@ -66,8 +66,8 @@ class Obstacle:
         Unit vector, one number for a scalar problem; (0, 1) by default. It points from the foundation to the
         body. Not used with a ``level`` function.
     offset : float or function of position
-        Initial distance to the foundation, in units of length; 0 by default. Not used with a ``level``
-        function.
+        Initial distance to the foundation, in units of length; 0 by default. With a ``level`` function it
+        adds to the distance to the curve.
     friction : float or function of position
         Tresca bound g >= 0 in units of stress; 0, the default, without friction. It acts along the tangent,
         the normal turned by -90 degrees.
@@ -356,10 +356,9 @@ class Obstacle:
 
     def distance(self, x: Expression, y: Expression) -> Expression:
         """The gap without displacement of the body at a point."""
-        if self.level is None or self.other:
-            gap = at(self.offset, x, y)
-        else:
-            gap = at(self.level, x, y) / ca.norm_2(gradient(self.level)(x, y))
+        gap = at(self.offset, x, y)
+        if self.level is not None and not self.other:
+            gap += at(self.level, x, y) / ca.norm_2(gradient(self.level)(x, y))
         if self.displacement is None:
             return gap
         return gap - ca.dot(self.direction(x, y), ca.DM(self.displacement))
@@ -418,13 +417,6 @@ class Obstacle:
     def friction_law(self) -> Friction:
         """Both bounds of friction as one law."""
         return Friction(self.friction, self.coulomb)
-
-    @property
-    def tangent(self) -> tuple[float, ...]:
-        """Unit tangent of a foundation with one normal; (1, 0) for (0, 1), empty for a scalar problem."""
-        if len(self.normal) == 1:
-            return ()
-        return (self.normal[1], -self.normal[0])
 
 
 FOOT_STEPS = 5

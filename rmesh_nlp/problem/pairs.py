@@ -76,6 +76,8 @@ def paired(
         p[:, others] = p[:, nodes]
         if far > 0:
             mesh = replace(mesh, doflocs=p)
+        if curve is None and obstacle.level is not None:  # a polygon keeps the normals of its circle
+            continue
         with contradicting(place):
             normal, sides, level = _normal(mesh, first, curve)
             if np.any(sides != sides[0]):

@@ -12,7 +12,7 @@ from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.energy import load_vector, shape_integrals
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
-from rmesh_nlp.certificate.conditions import check_normal, is_seen
+from rmesh_nlp.certificate.conditions import is_seen
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.estimates import (
     ENERGY,
@@ -102,8 +102,6 @@ def bounded(
     if given.continuous is None or final.continuous is None:
         raise BadInputError(f"there is nothing to certify: the solution is {assessment.status.value}")
     problem = final.problem
-    for obstacle in problem.obstacles:  # a polygon has no round pairs
-        check_normal(obstacle)
     nodes, exact = final.mesh.p, _on_polygon(final, final.continuous)
     space, own, windows = exact.continuous.space, DisplacementSpace(problem), []  # refined, and not
     under: dict[str, Callable[[float], ContactProblem]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +16,14 @@ from skfem.refdom import RefTri
 
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.certificate import NotCertifiableError, equilibration
-from rmesh_nlp.certificate.bracket import AT_NODES, Bracket, bracket, edge_residual, refined_bracket
+from rmesh_nlp.certificate.bracket import (
+    AT_NODES,
+    Bracket,
+    bracket,
+    edge_residual,
+    refined_bracket,
+    turning,
+)
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of
@@ -24,6 +32,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
@@ -149,13 +158,24 @@ def block(**changes) -> ContactProblem:
     return ContactProblem(**{**settings, **changes})
 
 
-@pytest.mark.parametrize("kind", ["membrane", "elastic", "rough", "two foundations"])
+CIRCLES = {
+    "circle": (Obstacle.circle, (0.9, -2.0), 2.0),
+    "hole": (partial(Obstacle.circle, inside=True), (1.0, 3.0), 3.2),
+}
+
+
+@pytest.mark.parametrize("kind", ["membrane", "elastic", "rough", "two foundations", *CIRCLES])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 9))])
 @pytest.mark.parametrize("order", ORDERS)
 def test_bounds_hold_on_finer_meshes(kind, seed, order):
     """The lower bound of a coarse, distorted mesh lies below the energy of a fine one, and close to it."""
     if kind == "two foundations":
         coarse = block(obstacle=(Obstacle("bottom"), Obstacle("right", (-1.0, 0.0), 0.001)))
+    elif kind in CIRCLES:
+        make, *place = CIRCLES[kind]
+        coarse = block(
+            obstacle=make("bottom", *place, friction=0.1 * seed), dirichlet=(Dirichlet("top", (0.1, -0.05)),)
+        )
     else:
         coarse = random_problem(seed, kind=kind)
         coarse = turned(coarse, TURN, SHIFT) if kind in ("elastic", "rough") and seed else coarse
@@ -290,7 +310,6 @@ def test_an_element_of_no_thickness_is_refused_or_flagged():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"obstacle": Obstacle.circle("bottom", (1.0, -5.0), 5.0)}, "turns along an edge"),
         ({"obstacle": (Obstacle("bottom"), Obstacle("bottom", (0.6, 0.8)))}, "two obstacles"),
         ({"obstacle": Obstacle("bottom", coulomb=0.3)}, "no energy is minimised"),
         ({"point_loads": (PointLoad(9, (0.0, -1.0)),)}, "point load"),
@@ -322,6 +341,31 @@ def test_body_that_contact_alone_holds_is_bounded(held, order):
     bounds = found.bounds["resultant(bottom)"]
     assert bounds.lower <= weight <= bounds.upper
     assert bounds.upper - bounds.lower < 2e-4 * weight
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_what_polynomials_leave_of_contact_on_a_circle_is_known(order):
+    """Pressure and friction on it, less their best approximation by Gauss points, and only there."""
+    round_one = Obstacle.circle("bottom", (1.2, -0.8), 0.8, friction=0.1)
+    problem = block(obstacle=(round_one, Obstacle("top", (0.0, -1.0), 0.01)), order=order, tractions=())
+    skeleton = skeleton_of(problem, problem.mesh.p)
+    balance = equilibrated(problem, skeleton, guess_on(problem)).balance
+    conditions = balance.assembled.conditions
+    found, part = turning(skeleton, conditions, balance), conditions.parts[0]
+    x, weights = np.polynomial.legendre.leggauss(20)
+    s, weights = (1 + x) / 2, np.sqrt(weights / 2)
+    shapes = functions(order, np.stack([1 - s, s]))
+    a, b = skeleton.nodes[:, skeleton.ends[:, part.edges]].transpose(1, 0, 2)
+    points = a[..., None] * (1 - s) + b[..., None] * s
+    normal = round_one.normals(points)
+    along = (balance.pressure[:, part.place].T @ shapes, balance.friction[:, part.place].T @ shapes)
+    stress = along[0] * normal + along[1] * np.stack([normal[1], -normal[0]])
+    own = (stress * weights).reshape(-1, s.size).T
+    left = own - (Q := np.linalg.qr((shapes * weights).T)[0]) @ (Q.T @ own)
+    norm = np.sqrt(np.sum(left.T.reshape(2, -1, s.size) ** 2, axis=(0, 2)) * skeleton.lengths[part.edges])
+    assert np.max(norm) > 1e-5 * np.max(np.abs(own))
+    np.testing.assert_allclose(found[part.edges], norm, rtol=1e-6, atol=1e-7 * np.max(np.abs(own)))
+    assert np.count_nonzero(found) <= part.edges.size
 
 
 def test_equilibrium_is_checked_and_can_fail():

@@ -239,10 +239,8 @@ def test_console_record_and_file_hold_the_certificate_and_figures_show_it(tmp_pa
 
 @pytest.mark.slow
 def test_why_there_is_no_certificate_is_printed(tmp_path, capsys) -> None:
-    circle = "circle = { centre = [1, -5.01], radius = 5 }"
-    text = VALID.replace('height = "-0.01*x**2"', circle).replace('right = ["free", 0.0]\n', "")
-    (tmp_path / "my.toml").write_text(text)
+    (tmp_path / "my.toml").write_text(VALID.replace("friction =", "coulomb ="))
     options = ["-f", "fixed", "--certify", "--no-figures", "--out", str(tmp_path / "o")]
     assert run(["solve", str(tmp_path / "my.toml"), *options]) == 0
-    assert "no certificate: the normal of a curved" in capsys.readouterr().out
+    assert "no certificate: with Coulomb friction" in capsys.readouterr().out
     assert "energy_lower_bound" not in json.loads((tmp_path / "o" / "record.json").read_text())

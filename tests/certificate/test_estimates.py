@@ -117,7 +117,7 @@ def test_no_error_is_told_of_the_displacement_of_a_round_tool_at_order_1() -> No
     roller = replace(rm.Obstacle.circle("top", (2.0, 4.02), 3.0), force=(0.0, -500.0), move="y")
     problem = replace(BODY, mesh=rm.shapes.rectangle(8, 2, x=(0, 4)), dirichlet="bottom", obstacle=roller)
     assert estimated(problem, "resultant(top)")[0].error > 0
-    with pytest.raises(NotCertifiableError, match="of tools at order 2"):
+    with pytest.raises(NotCertifiableError, match="of round tools at order 2"):
         estimated(problem, "tool_y(top)")
     assert estimated(replace(problem, order=2), "tool_y(top)")[0].error > 0
 

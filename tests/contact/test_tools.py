@@ -168,10 +168,22 @@ def test_cylinder_under_a_punch() -> None:
         replace(problem, obstacle=replace(ROLLER, force=(0.0, -FORCE), move="xy"))
 
 
-def test_bounds_of_a_round_tool_are_refused_in_words() -> None:
-    solution = rm.solve(pressed(TOOLS["roller"]), "fixed", certify=True)
-    assert solution.certificate is None
-    assert "the normal of a curved foundation or pair turns along an edge" in solution.certificate_remark
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2])
+def test_bounds_of_a_round_tool(order: int) -> None:
+    """Its force has a moment about it: that of pressure is larger than F."""
+    found = rm.solve(pressed(TOOLS["roller"], order=order), "fixed", certify=True).certificate
+    fine = rm.solve(pressed(TOOLS["roller"], (16, 8), order=2), "fixed", audit=False)
+    assert found.guaranteed_lower
+    assert found.guaranteed_upper
+    for name, value in (
+        ("resultant(top)", fine.contact["top"]["normal_force"]),
+        ("tool_y(top)", fine.tools["top"]["displacement"][1]),
+    ):
+        bounds = found.bounds[name]
+        assert bounds.guaranteed
+        assert bounds.lower <= value <= bounds.upper
+        assert value != pytest.approx(FORCE, rel=1e-5)
 
 
 def test_given_displacement_has_bounds() -> None:

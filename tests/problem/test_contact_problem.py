@@ -263,8 +263,6 @@ def test_level_function_of_a_curve_may_have_any_scale() -> None:
 def test_interior_obstacle_and_friction() -> None:
     below = Obstacle.interior(lambda x, y: x - 3 * y)
     np.testing.assert_allclose(below.distances(POINTS), [14.0, -1.0])
-    assert below.tangent == ()
-    assert Obstacle("a", (0.6, 0.8)).tangent == (0.8, -0.6)
     for bound, frictional in ((0.0, False), (1e-9, True), (lambda x, y: 0.0, True)):
         assert Obstacle("a", friction=bound).friction_law.has_given == frictional
 
