@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from skfem import MeshTri
 from skfem.io.meshio import from_meshio
 
+from rmesh_nlp.by_meshio import read_file
 from rmesh_nlp.errors import BadInputError, expect_path, located, unknown
 from rmesh_nlp.meshes.abaqus import read_inp
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.by_meshio import read_file
 from rmesh_nlp.meshes.file_mesh import TITLES, USABLE, Block, FileMesh, positions, triangulated
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.msh import read_msh
@@ -71,7 +71,8 @@ def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> Mesh
         with located(f"{path}: cannot be read", (ValueError, TypeError, LookupError, ArithmeticError)):
             file = read_msh(data) if data else read_inp(path)
     else:
-        file = read_file(path, "ansys" if data else kind)  # the other format of files .msh, of Fluent
+        read = read_file(path, "ansys" if data else kind)  # the other format of files .msh, of Fluent
+        file = read_msh(read) if isinstance(read, bytes) else read
         if isinstance(file, meshio.Mesh) and any(key.startswith("skfem:") for key in file.cell_data):
             mesh = from_meshio(file)  # scikit-fem's own way to keep names
             edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}

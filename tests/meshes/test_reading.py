@@ -337,7 +337,7 @@ def test_a_reader_that_finds_no_end_is_ended(tmp_path: Path, monkeypatch: pytest
     path = tmp_path / "a.off"
     path.write_text(whole)
     assert read_mesh(path).nelements == 2
-    monkeypatch.setattr("rmesh_nlp.meshes.by_meshio.SECONDS", 0.1)
+    monkeypatch.setattr("rmesh_nlp.by_meshio.SECONDS", 0.1)
     path.write_text("OFF\n")
     with pytest.raises(ValueError, match=r"of the format off \(time_limit\): if it is not damaged, write it"):
         read_mesh(path)
@@ -347,7 +347,7 @@ NASTRAN = """GRID    1               0.      0.      0.
 GRID,2,,1.,0.,0.
 GRID,3,,1.,1.,0.
 CROD,9,4,1,2
-CTRIA3  1       7       1       2       3
+CTRIA3  1       7       1       2       3       0.0
 ENDDATA
 """
 SU2 = """% a comment
@@ -379,6 +379,17 @@ def test_names_of_nastran_and_su2(tmp_path: Path, name: str, content: str, edges
     (tmp_path / name).write_text(content[:-9])
     with pytest.raises(ValueError, match="of the format"):
         read_mesh(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "card",
+    ["CPLSTN3 2       7       1       2       3", "GRID    4       2       2.      0.", "GRID,4,2,2.,0."],
+)
+def test_cards_of_nastran_that_would_be_passed_over_are_refused(tmp_path: Path, card: str) -> None:
+    path = tmp_path / "a.bdf"
+    path.write_text(f"{card}\n{NASTRAN}")
+    with pytest.raises(ValueError, match="write CTRIA3 or CQUAD4, and GRID in the global system"):
+        read_mesh(path)
 
 
 def test_names_that_no_edge_has_are_told(tmp_path: Path) -> None:
