@@ -142,7 +142,7 @@ def _check_values(problem: ProblemData) -> None:
                 f"{what}, {values}, has {len(values)} components: it needs {n} value{'s' * (n > 1)}",
             )
         for i, value in enumerate(values, 1):
-            if value is not None:
+            if value is not None or place[0] != "dirichlet":  # else it is free
                 _values(place, value, points, what if n == 1 else f"component {i} of {what}")
 
 
@@ -177,10 +177,12 @@ def _check_contact_values(problem: ProblemData) -> None:
     """Foundations are finite where gaps hold or are integrated, friction is not negative there."""
     for number, obstacle in enumerate(problem.obstacles):
         on = obstacle.boundary
-        points = _along(problem, on) if isinstance(on, str) else _inside(problem, ...)
-        _values(("contact", number), obstacle.clearance, points, "the obstacle")
-        friction = ("friction", "the friction bound", obstacle.friction)
-        for key, what, value in (friction, ("coulomb", "Coulomb's coefficient", obstacle.coulomb)):
+        of, points = "", _inside(problem, ...)
+        if isinstance(on, str):
+            of, points = f" on {on!r}", _along(problem, on)
+        _values(("contact", number), obstacle.clearance, points, f"the obstacle{of}")
+        friction = ("friction", f"the friction bound{of}", obstacle.friction)
+        for key, what, value in (friction, ("coulomb", f"Coulomb's coefficient{of}", obstacle.coulomb)):
             values = _values(("contact", number, key), value, points, what)
             least = int(np.argmin(values))
             if values[least] < 0:
