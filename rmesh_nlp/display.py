@@ -1,4 +1,4 @@
-"""Problems and solutions as short tables: in a terminal through rich, in Jupyter as HTML."""
+"""Problems and solutions as short tables: in a terminal as plain text, in Jupyter as HTML."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ import shutil
 from abc import ABC, abstractmethod
 from html import escape
 from numbers import Real
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from textwrap import fill
 
 Rows = list[tuple[str, str]]
 
@@ -18,27 +15,13 @@ Spans = dict[str, list[list[float]]]
 """Intervals of x or y."""
 
 
-def rich_table(title: str, rows: Rows) -> Table:
-    """A two-column table for rich."""
-    from rich.table import Table  # these and meshio would take a quarter of the time to import the package
-    from rich.text import Text
-
-    table = Table(title=Text(title), show_header=False, title_justify="left")
-    for label, value in rows:
-        table.add_row(Text(label), Text(value))  # what stands in brackets is no markup
-    return table
-
-
 def plain_table(title: str, rows: Rows) -> str:
-    """The same as plain text that fits a screen: one line per row, long values cut."""
+    """A two-column table as plain text that fits a screen, long values in several lines."""
     width = max((len(label) for label, _ in rows), default=0)
     screen = shutil.get_terminal_size().columns
-    room = screen - width - 4
-    lines = [
-        f"  {label:<{width}}  {value if len(value) <= room else value[: room - 3] + '...'}"
-        for label, value in rows
-    ]
-    return "\n".join([title[:screen], *lines])
+    indent = " " * (width + 4)
+    lines = [fill(f"  {label:<{width}}  {value}", screen, subsequent_indent=indent) for label, value in rows]
+    return "\n".join([title, *lines])
 
 
 def html_table(title: str, rows: Rows) -> str:
@@ -48,7 +31,7 @@ def html_table(title: str, rows: Rows) -> str:
 
 
 class Shown(ABC):
-    """What a terminal, ``print`` and Jupyter show as a table."""
+    """What ``print`` and Jupyter show as a table."""
 
     @property
     @abstractmethod
@@ -58,9 +41,6 @@ class Shown(ABC):
     @abstractmethod
     def summary(self) -> Rows:
         """(label, value) rows for people."""
-
-    def __rich__(self) -> Table:
-        return rich_table(self.title, self.summary())
 
     def __repr__(self) -> str:
         return plain_table(self.title, self.summary())

@@ -63,7 +63,7 @@ def test_unknown_names_come_with_the_nearest() -> None:
 
 def test_tables_for_people() -> None:
     lines = display.plain_table("t" * 90, [("a", "b" * 100), ("cc", "d" * 74)]).splitlines()
-    assert lines == ["t" * 80, f"  a   {'b' * 71}...", f"  cc  {'d' * 74}"]
+    assert lines == ["t" * 90, f"  a   {'b' * 74}", f"      {'b' * 26}", f"  cc  {'d' * 74}"]
     assert display.html_table("<t>", [("a", "&")]) == (
         "<table><caption>&lt;t&gt;</caption><tr><th>a</th><td>&amp;</td></tr></table>"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,7 +138,7 @@ class Comparison:
         return whole[[name for name in (*ends, *designs, *COLUMNS) if name in whole]]
 
     def __repr__(self) -> str:
-        return self.summary().to_string()
+        return self.summary().to_string(line_width=get_terminal_size().columns)
 
     def _repr_html_(self) -> str:
         return str(self.summary().to_html())

@@ -308,7 +308,7 @@ def table(folder: o.Folder, verbose: o.Verbose = False) -> None:
     """Make the tables of DIR again.
 
     Writes DIR/table.md, DIR/table.tex and DIR/table.csv from the records, without solving, and prints
-    the main table.
+    the main columns. On a screen, columns that do not fit follow below.
 
     \b
     rmesh table results

@@ -137,9 +137,7 @@ Repeats = Annotated[
     Option(min=1, metavar="N", help="Solve each N times: tables show medians of times and ranges."),
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but errors.")]
-Verbose = Annotated[
-    bool, Option("--verbose", "-v", help="Print all tables of DIR/table.md instead of the main one.")
-]
+Verbose = Annotated[bool, Option("--verbose", "-v", help="Print all columns, as DIR/table.md has them.")]
 Json = Annotated[bool, Option("--json", help="Print JSON to stdout instead of text.")]
 Accuracy = Annotated[
     str | None,

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from skfem import MeshTri
 
 from rmesh_nlp.cli import load
@@ -15,7 +14,7 @@ from rmesh_nlp.cli.folders import check_target, notes
 from rmesh_nlp.contact.setup_warnings import check as signs_of
 from rmesh_nlp.contact.setup_warnings import curve_warnings
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.display import Rows, figure, rich_table
+from rmesh_nlp.display import Rows, figure, plain_table
 from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.io.export import write_mesh
@@ -105,7 +104,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         doubts = f"states a problem, with {len(messages)} doubt{'s' * (len(messages) > 1)}"
         said = doubts if messages else "is in order"
         said = f"problem {problem.name!r} {said}"
-    Console().print(rich_table(f"{path}: {said}", rows))
+    print(plain_table(f"{path}: {said}", rows))
     for message in messages:
         print(f"warning: {message}")
     target = picture or path.with_suffix(".png")
@@ -142,7 +141,7 @@ def advise(path: Path, order: int | None = None, json: bool = False) -> None:
     if json:
         print(to_json(estimates.record()))
     else:
-        Console().print(rich_table(f"{path}: which mesh?", estimates.rows()))
+        print(plain_table(f"{path}: which mesh?", estimates.rows()))
 
 
 def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -> None:
@@ -163,7 +162,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
         ("error of the energy, estimated", f"{figure(made.error)}, on the given mesh {figure(first.error)}"),
         ("least angle", f"{np.min(least_angles(mesh.p, made.problem.triangles)):.3g} degrees"),
     ]
-    Console().print(rich_table(f"wrote {out}", rows))
+    print(plain_table(f"wrote {out}", rows))
 
 
 def _first_design(path: Path, problem: ContactProblem, *, says: bool = True) -> ContactProblem:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from shutil import get_terminal_size
 
 from rmesh_nlp.cli.folders import check_target, read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
@@ -26,12 +27,13 @@ UNRANKED = "those of a study compare formulations that relocate, at least two"
 
 
 def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
-    """Write the tables of a folder and print the main one, or with ``verbose`` all of them."""
+    """Write the tables of a folder and print the main columns, or with ``verbose`` all, to fit the screen."""
     results = read_quietly(folder)
     records = with_common_costs(results)
     write_tables(records, folder)
     if voice == "text":
-        print(markdown(records, short=not verbose), end="")
+        width = get_terminal_size((0, 0)).columns  # 0 in a file
+        print(markdown(records, short=not verbose, width=width), end="")
         if not verbose:
             print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
 

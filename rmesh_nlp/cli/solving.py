@@ -145,7 +145,7 @@ def _say(done: Done, *, in_full: bool) -> None:
     if (solution := done.solution) is None:
         return
     if in_full:
-        Console().print(solution)
+        print(solution)
     else:
         for what, value in contact_rows(solution):
             print(f"{what} {value}")
@@ -178,8 +178,8 @@ def compare(
 ) -> int:
     """Many solves by so many ``jobs``, tables and figures; returns the exit code.
 
-    ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`; ``verbose`` prints the whole
-    of ``table.md`` instead of its main table.
+    ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`; ``verbose`` prints
+    all columns of ``table.md`` and not the main ones.
     """
     if jobs > 1 and any(name.endswith(comparison.SUFFIX) for name in examples):
         raise BadInputError("--jobs is for the examples: put problem files into a study (rmesh new --study)")

@@ -171,13 +171,6 @@ def names_of_blocks(groups: Sequence[Case]) -> list[str]:
     return names
 
 
-def names_of_solves(records: Records) -> list[str]:
-    """Name of its block and formulation of each record, by blocks."""
-    groups = blocks(records)
-    named = zip(groups, names_of_blocks(groups), strict=True)
-    return [f"{name}, {label(record)}" for block, name in named for record in block.records]
-
-
 def in_common_units(records: Records) -> list[Record]:
     """The records with the unit of cost of their block, :attr:`Case.unit`, if they measured one."""
     units = {block_key(block.records[0]): block.unit for block in blocks(records)}

@@ -84,7 +84,11 @@ def _of_several(record: Record) -> bool:
 
 
 def table_of(columns: Sequence[Column], records: Records, **options: Any) -> Table:
-    """A table with a row for each record, without the columns that none of them fills."""
+    """A table with a row for each record, without the columns that none of them fills.
+
+    Of several columns with one heading the last counts.
+    """
+    columns = [*{column.heading: column for column in columns}.values()]
     rows = cells(columns, records)
     filled = [place for place in range(len(columns)) if {row[place] for row in rows} != {MISSING}]
     kept = [[row[place] for place in filled] for row in rows]
@@ -152,69 +156,62 @@ COST = Column("cost|[contact solves]", contact_units, cost)
 
 @dataclass(frozen=True)
 class Kind:
-    """A table of solves: its title in Markdown, columns beside that of the solve, and caption.
+    """A table of solves: columns beside that of the solve, and caption.
 
-    ``is_wanted`` says which blocks it has, ``rows`` which rows their records become; ``is_detail`` that it is
-    in ``table.md`` and not printed.
+    ``is_wanted`` says which blocks it has.
     """
 
-    title: str
     columns: tuple[Column, ...]
     caption: str
-    is_wanted: Callable[[Case], bool]
-    is_detail: bool = True
-    rows: Callable[[Records], Records] = tuple
+    is_wanted: Callable[[Case], bool] = lambda block: True
 
 
-def _with(wanted: Callable[[Record], bool]) -> Callable[[Case], bool]:
-    """Blocks with an energy, and a record that asks for the table."""
-    return lambda block: block.has_energy and any(map(wanted, block.records))
+def _with(entry: str) -> Callable[[Case], bool]:
+    """Blocks with a record that has an entry."""
+    return lambda block: any(record.get(entry) is not None for record in block.records)
 
 
+OF_BOUNDARIES = "Results of each contact boundary on the relocated mesh."
 CONTACT = (
     Column("boundary", "boundary"),
     *(Column(name.replace("_", "|"), name, ".4g") for name in RESULTS),
 )
-MAIN = Kind(
-    "",
-    (
-        *of("energy_initial_audited", "energy_audited"),
-        Column(
-            "gain|[%]",
-            lambda record: gain_of(record.get("energy_initial_audited"), record.get("energy_audited")),
-            lambda gain: ".2f" if abs(gain) < 1000 else ".3g",
-        ),
-        *of("iterations", "contact_solves", "wall_time_s", "status"),
-    ),
-    "Relocation by each formulation. J is the total potential energy of the contact solution on the given "
-    "and on the relocated mesh, as assessed: loads by an adaptive rule, gaps along whole edges, friction and "
-    "curves integrated. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",
-    lambda block: block.has_energy,
-    is_detail=False,
-)
-KINDS = (
-    MAIN,
+PRINTED = (
     Kind(
-        "Certificates",
+        (
+            *of("energy_initial_audited", "energy_audited"),
+            Column(
+                "gain|[%]",
+                lambda record: gain_of(record.get("energy_initial_audited"), record.get("energy_audited")),
+                lambda gain: ".2f" if abs(gain) < 1000 else ".3g",
+            ),
+            *of("iterations", "contact_solves", "wall_time_s", "status"),
+        ),
+        "Relocation by each formulation. J is the total potential energy of the contact solution on the "
+        "given and on the relocated mesh, as assessed: loads by an adaptive rule, gaps along whole edges, "
+        "friction and curves integrated. Gain: in per cent of |J| on the given mesh. Time: build, solve and "
+        "audit.",
+        lambda block: block.has_energy,
+    ),
+    Kind(
         (
             *of("energy_lower_bound", "energy_upper_bound"),
             Column("error before|[%]", _bound("relative_error_bound_initial", "initial")),
             Column("error after|[%]", _bound("relative_error_bound", "upper")),
         ),
         "Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
-        _with(lambda record: "certificate_remark" in record),
-        is_detail=False,
+        _with("certificate_remark"),
     ),
     Kind(
-        "Contact boundaries",
-        CONTACT,
-        "Results of each contact boundary on the relocated mesh.",
-        lambda block: any(map(_of_several, block.records)),
-        is_detail=False,
-        rows=of_boundaries,
+        (
+            *of("nodes", "energy_audited"),
+            Column("gain over the|given mesh", "refinement_gain", ".4g"),
+            *of("wall_time_s"),
+        ),
+        "Relocation against uniform refinement: audited energies and gains over the given mesh.",
+        _with("refinement_gain"),
     ),
     Kind(
-        "Outcome",
         (
             *of("objective_initial", "objective_value"),
             Column("gain|[%]", lambda record: gain_of(*ends_of(record)), ".4g"),
@@ -230,10 +227,12 @@ KINDS = (
         "size at the start. Left on refined meshes: the part of the gain that is there when both meshes are "
         "refined uniformly. Violation: the largest of a constraint, over its bound.",
         lambda block: not block.has_energy or any(objective_of(row) != "energy" for row in block.records),
-        is_detail=False,
     ),
+)
+"""Columns that are printed; :data:`KINDS` has those that can be asked for too."""
+KINDS = (
+    *PRINTED,
     Kind(
-        "Energies by the rule of the problem",
         of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
         "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
         "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
@@ -241,7 +240,6 @@ KINDS = (
         lambda block: block.has_energy,
     ),
     Kind(
-        "Costs",
         (
             *of("start"),
             Column("contact solves,|cold + warm", _solves),
@@ -253,10 +251,8 @@ KINDS = (
         ),
         "Cost: time of build and solve over that of one contact solve on the given mesh, the median of those "
         "that the rows measured. Factorisations of KKT matrices: at least as many as Ipopt took iterations.",
-        lambda block: True,
     ),
     Kind(
-        "Costs to a common level",
         (
             Column("J reached|by all", "common_objective", ".7g"),
             Column("cost to|that J", "cost_to_objective", cost),
@@ -266,10 +262,9 @@ KINDS = (
         ),
         "Reached by all: an energy or other objective, and a first-order residual, that all successful "
         "formulations reach, and the cost until each was there first, in contact solves on the given mesh.",
-        _with(lambda record: record.get("common_objective") is not None),
+        _with("common_objective"),
     ),
     Kind(
-        "Residuals",
         (
             *of("own_equilibrium_residual", "equilibrium_residual"),
             *of("own_complementarity_residual", "complementarity_residual", "stationarity_residual"),
@@ -284,10 +279,8 @@ KINDS = (
         "mesh. First-order residual: of the outer problem, over that on the given mesh. Label: the "
         "stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, a KKT "
         "point. Biactive: pairs of gap and contact force that both vanish.",
-        lambda block: True,
     ),
     Kind(
-        "Errors",
         (
             *of("I1", "I2", "I3"),
             Column("sum", _sum_of_errors, ".6f"),
@@ -295,7 +288,6 @@ KINDS = (
         ),
         "Theorem 4.1: errors in energy (I1), contact (I2) and friction (I3), and the energy above the exact "
         "one.",
-        _with(lambda record: record.get("I1") is not None),
+        _with("I1"),
     ),
 )
-"""The tables of a comparison, those that are printed first."""

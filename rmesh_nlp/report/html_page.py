@@ -23,19 +23,17 @@ from rmesh_nlp import __version__
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import PAPER
 from rmesh_nlp.io.folder import Manifest, read_text, write_text
-from rmesh_nlp.io.records import Record, Records, has_energy, objective_of, parse_json, to_json
+from rmesh_nlp.io.records import Records, objective_of, parse_json, to_json
 from rmesh_nlp.io.results import ROWS, Result
 from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.report.blocks import (
     blocks_of,
-    names_of_solves,
     order_of,
     relocates,
     variant,
     variants_of,
-    with_order,
 )
-from rmesh_nlp.report.columns import CONTACT, KINDS, Column, of, of_boundaries, table_of
+from rmesh_nlp.report.columns import CONTACT, PRINTED, Column, of, of_boundaries, table_of
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures, stress_figures
 from rmesh_nlp.report.joined import ESTIMATES, estimate_rows
@@ -43,9 +41,8 @@ from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, uni
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import Page, lay_out
 from rmesh_nlp.report.table import MISSING, TEMPLATES, Table
-from rmesh_nlp.report.tables import sections_of
+from rmesh_nlp.report.tables import SOLVE, sections_of, table_of_solves
 from rmesh_nlp.settings import Values
-from rmesh_nlp.solving.parts import DESIGN, FEW
 from rmesh_nlp.study.reproduction import Statement
 from rmesh_nlp.study.worker import environment
 
@@ -54,15 +51,7 @@ CHART = Page(1)  # legible on a phone, where charts are three inches wide
 CONVERGENCE, MESHES = 12, 60  # most problems, and solves with meshes, on the page
 MANY = 10  # problems from which on profiles tell something
 
-# what tells solves apart
-WHICH = (
-    Column("formulation", variant),
-    Column("problem", lambda record: with_order(str(record["example"]), record)),
-    Column("size", lambda record: str(record["n"])),
-    *of("seed"),
-)
 MESSAGE = Column("message", "message")
-OF_ENERGY = ("energy_initial", "energy", "energy_initial_audited", "energy_audited")
 
 TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
 TEMPLATES.filters |= {"variant": variant, "family": family, "objective": objective_of}
@@ -83,7 +72,8 @@ def write_report(folder: Path, results: Sequence[Result], question: str = "", ti
 def page(folder: Path, results: Sequence[Result], question: str, title: str) -> str:
     """The page as text."""
     records = [result.record for result in results]
-    failed = [i for i, r in enumerate(records) if not r["success"] and r["status"] != "refused"]
+    rows = [row for _, block in sections_of(records) for row in block.records]
+    failed = [row for row in rows if not row["success"] and row["status"] != "refused"]
     is_own = not is_study(records) and any(record["example"] not in PAPER for record in records)
     remarks = study_notes(records) if is_study(records) else shared_notes(records) + block_notes(records)
     with rc_context(CHART.settings):
@@ -91,15 +81,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results) if many]
         drawn, not_drawn = _charts(results)
     meshes, meshes_left = _meshes(results)
-    printed = [
-        column
-        for kind in KINDS
-        if not kind.is_detail and kind.columns is not CONTACT
-        for column in kind.columns
-    ]
-    others = [column for kind in KINDS if kind.is_detail for column in kind.columns]
-    others = [column for column in (*of("unknowns"), *others) if column not in printed]
-    comparable = [_without_energies(record) for record in records]
+    every = table_of_solves(records)
     return _render(
         REPORT,
         title=title,
@@ -113,17 +95,13 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
-        solves=_solves(comparable, [*printed, *_design_columns(records)], failed={*failed}),
-        forces=_solves(of_boundaries(records, 1 if is_own else 2), CONTACT, texts=4),
+        solves=table_of_solves(records, PRINTED),
+        forces=table_of((SOLVE, *CONTACT), of_boundaries(rows, 1 if is_own else 2), texts=2),
         estimates=table_of(ESTIMATES, estimate_rows(records), texts=4),
-        more=_solves(comparable, others, failed={*failed}),
-        failures=_solves([records[i] for i in failed], [*of("status"), MESSAGE], texts=6),
+        more=every,
+        failures=table_of((SOLVE, *of("status"), MESSAGE), failed, texts=3),
         remarks=[
-            *(
-                kind.caption
-                for kind in KINDS
-                if any(kind.is_wanted(block) for _, block in sections_of(records))
-            ),
+            *every.caption.split("\n\n"),
             *units_notes(records),
             *stopped_early(records),
             *remarks,
@@ -163,27 +141,6 @@ def _charts(results: Sequence[Result]) -> tuple[list[tuple[str, str, str]], str]
     return drawn, f"The first {CONVERGENCE} problems; {rest} more are not drawn." if rest > 0 else ""
 
 
-def _without_energies(record: Record) -> Record:
-    """Energies only where they compare, objectives only where they are no energies."""
-    unknown = () if has_energy(record) else OF_ENERGY
-    if objective_of(record) == "energy":
-        unknown = (*unknown, "objective_initial", "objective_value")
-    shown = {**record, **dict.fromkeys(unknown)}
-    return shown | {f"{DESIGN}{name}": value for name, value in (record.get("design") or {}).items()}
-
-
-def _design_columns(records: Records) -> tuple[Column, ...]:
-    """A column for each of a few design variables."""
-    names = dict.fromkeys(name for record in records for name in record.get("design") or {})
-    return tuple(Column(name, DESIGN + name, ".5g") for name in names) if len(names) <= FEW else ()
-
-
-def _solves(records: Records, columns: Sequence[Column], **options: Any) -> Table:
-    """A row for each solve, with the columns that are filled; of several with one heading the last."""
-    shown = {column.heading: column for column in (*WHICH, *columns)}.values()
-    return table_of([*shown], records, **{"texts": 2, **options})
-
-
 def _meshes(results: Sequence[Result]) -> tuple[list[Values], str]:
     """Meshes and fields for the slider between the given and the relocated mesh, and what is left out."""
     solved = [r for r in results if r.record["energy"] is not None and r.vtu.exists()]
@@ -191,7 +148,8 @@ def _meshes(results: Sequence[Result]) -> tuple[list[Values], str]:
     solved = [r for r in solved if relocates(r.record)] or solved
     rest = len(solved) - MESHES
     shown = [result for _, own in blocks_of(solved[:MESHES]) for result in own]
-    names = names_of_solves([result.record for result in shown])
+    sections = sections_of([result.record for result in shown])
+    names = [row["solve"] for _, block in sections for row in block.records]
     meshes = [
         {"name": name, **_mesh(read_vtu(result.vtu))} for name, result in zip(names, shown, strict=True)
     ]

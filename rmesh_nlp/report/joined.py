@@ -34,14 +34,6 @@ STARTS = (
     Column("failures", "failures"),
     Column("cost|[contact solves]", "cost", ".3g"),
 )
-MESHES = (
-    Column("mesh", "mesh"),
-    Column("formulation", lambda r: label(r) if relocates(r) else "no motion"),
-    Column("nodes", "nodes"),
-    Column("J audited", "energy_audited", ".6g"),
-    Column("gain", "gain", ".4g"),
-    Column("time [s]", "wall_time_s", ".3g"),
-)
 ESTIMATES = (
     Column("formulation", label),
     *(Column(name, name, ".6g") for name in ("example", "nodes", "quantity", "computed", "value")),
@@ -54,8 +46,8 @@ NAMED = {"design": "Design variables", "constraints": "Constrained quantities"}
 
 
 def joined_tables(records: Records) -> list[Table]:
-    """Those of several starts and of several meshes that have rows."""
-    tables = (
+    """Those of several starts and of estimated errors, perhaps without rows."""
+    return [
         table_of(
             STARTS,
             multistart_rows(records),
@@ -64,22 +56,13 @@ def joined_tables(records: Records) -> list[Table]:
             "The cost is the median of one start.",
         ),
         table_of(
-            MESHES,
-            refinement_rows(records),
-            title="Relocation against uniform refinement",
-            caption="Relocation against uniform refinement: audited energies J and gains over the given "
-            "mesh, with the wall time of each solve.",
-            notes=refinement_notes(records),
-        ),
-        table_of(
             ESTIMATES,
             estimate_rows(records),
             title="Estimated errors",
             caption="Quantities on the final mesh: computed values, the best known ones, and the estimated "
             "errors of the former; bounds, where those are guaranteed.",
         ),
-    )
-    return [table for table in tables if table.rows]
+    ]
 
 
 def estimate_rows(records: Records) -> list[Record]:
@@ -120,20 +103,14 @@ def _starts(name: str, group: Records) -> Record | None:
     }
 
 
-def refinement_rows(records: Records) -> list[Record]:
-    """Per example that was solved on several meshes, its rows: the given mesh first, then finer ones.
-
-    Gains are those of the audited energy over the given mesh, the one of fewest nodes.
-    """
-    return [
-        {
-            **record,
-            "mesh": f"{name}, {'as given' if record['nodes'] == own[0]['nodes'] else 'refined'}",
-            "gain": difference(own[0]["energy_initial_audited"], record["energy_audited"]),
-        }
-        for name, own in _several_meshes(records).items()
+def with_refinement_gains(records: Records) -> list[Record]:
+    """The records, with gains over the coarsest mesh where an example was solved on several."""
+    gains = {
+        id(record): difference(own[0]["energy_initial_audited"], record["energy_audited"])
+        for own in _several_meshes(records).values()
         for record in own
-    ]
+    }
+    return [{**record, "refinement_gain": gains.get(id(record))} for record in records]
 
 
 def refinement_notes(records: Records) -> list[str]:

@@ -136,7 +136,7 @@ def median_table(records: Records) -> Table:
     """The columns of :func:`summary_table` that a first reader needs, without ranges."""
     places = [place for place, name in enumerate(HEAD) if name not in FURTHER]
     rows = [[row[place].split(" [")[0] for place in places] for row in summary_table(records).rows]
-    return Table([HEAD[place] for place in places], rows, MEDIANS, notes=study_notes(records))
+    return Table([HEAD[place] for place in places], rows, MEDIANS)
 
 
 def _range(values: pd.Series, form: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from itertools import zip_longest
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
@@ -46,8 +47,6 @@ class Table:
         What it shows and how to read it.
     title : str
         Its heading in Markdown; empty for none.
-    notes : sequence of str
-        What stands below it in LaTeX.
     is_detail : bool
         Whether it is in ``table.md`` alone, and not among what is printed.
     texts : int
@@ -60,7 +59,6 @@ class Table:
     rows: Rows
     caption: str = ""
     title: str = ""
-    notes: Sequence[str] = ()
     is_detail: bool = False
     texts: int = 1
     failed: Set[int] = frozenset()
@@ -70,23 +68,37 @@ class Table:
         """Each on one line."""
         return [text.replace("|", " ") for text in self.head]
 
-    def markdown(self) -> str:
-        """All rows below each other, columns padded, the first to the left, the others to the right."""
-        cells = [[cell.replace("|", "\\|") for cell in row] for row in (self.headings, *self.rows)]
-        widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(self.head))]
-        lines = []
-        for row in cells:
-            first, *others = (f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
-            lines.append(f"| {' | '.join([f'{row[0]:<{len(first)}}', *others])} |\n")
-        marks = [":" + "-" * (widths[0] + 1), *("-" * (width + 1) + ":" for width in widths[1:])]
-        return "".join([lines[0], f"|{'|'.join(marks)}|\n", *lines[1:]])
+    def markdown(self, width: int = 0) -> str:
+        """All rows below each other, columns padded, the first to the left, the others to the right.
 
-    def section(self) -> str:
+        Columns that do not fit the ``width`` of a screen follow below, beside the first one again.
+        """
+        heads = [text.split("|") for text in self.head] if width else [[text] for text in self.headings]
+        above = [*zip_longest(*heads, fillvalue="")]
+        cells = [[cell.replace("|", "\\|") for cell in row] for row in (*above, *self.rows)]
+        widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
+        parts = [[0]]
+        for place in range(1, len(widths)):
+            used = sum(widths[i] + 3 for i in (*parts[-1], place)) + 1
+            if width and used > width and len(parts[-1]) > 1:
+                parts.append([0])
+            parts[-1].append(place)
+        texts = []
+        for part in parts:
+            lines = [" | ".join(f"{row[i]:{'>' if i else '<'}{widths[i]}}" for i in part) for row in cells]
+            marks = ["-" * widths[i] + "-:|" for i in part[1:]]
+            ruled = [f"| {line} |" for line in lines]
+            ruled.insert(len(above), f"|:{'-' * widths[0]}-|{''.join(marks)}")
+            texts.append("\n".join([*ruled, ""]))
+        return "\n".join(texts)
+
+    def section(self, width: int = 0) -> str:
         """Markdown with the title and the caption."""
         heading = [f"## {self.title}\n"] if self.title else []
-        return "\n".join([*heading, self.markdown(), f"{self.caption}\n"])
+        caption = [f"{self.caption}\n"] if self.caption else []
+        return "\n".join([*heading, self.markdown(width), *caption])
 
-    def latex(self) -> str:
+    def latex(self, notes: Sequence[str] = ()) -> str:
         r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as the text.
 
         A ``table`` becomes a ``table*`` if its columns need more than ``COLUMN``; where pages have one column
@@ -99,6 +111,7 @@ class Table:
         whole = min(widths[0], label) + PAGE - room
         return LATEX.get_template("table.tex").render(
             table=self,
+            notes=notes,
             parts=[self.rows[first : first + LINES] for first in range(0, len(self.rows), LINES)],
             place="table" if whole <= COLUMN else "table*",
             size="footnotesize" if whole <= PAGE else "scriptsize",

@@ -78,7 +78,7 @@ def test_check_says_what_it_doubts(rmesh, block: Path) -> None:
 @pytest.mark.slow
 def test_template_of_two_bodies_is_in_order_and_solves(rmesh) -> None:
     assert rmesh("new two.toml --two-bodies").code == 0
-    said = " ".join(rmesh("check two.toml").out.replace("│", " ").split())
+    said = " ".join(rmesh("check two.toml").out.split())
     assert "is in order" in said
     assert "17 pairs of nodes, 0 apart, on joint" in said
     assert "not drawn" not in said
@@ -207,8 +207,8 @@ def test_a_pressed_block_has_nothing_to_gain(rmesh) -> None:
     assert "flat: no formulation gained on the given mesh." in said.out
     assert said.err.count("(gain 0, 0 %)") == 3
     solved = rmesh("solve flat.toml -f joint --no-figures --out one")
-    assert re.search(r"audited gain +│ 0 \(0 %\) ", solved.out)
-    assert re.search(r"normal force +│ 20 \+- \S+ estimated +│", solved.out)
+    assert re.search(r"audited gain +0 \(0 %\)", solved.out)
+    assert re.search(r"normal force +20 \+- \S+ estimated", solved.out)
     assert not re.search(r"\de-1\d |-0\.00", said.out + said.err + solved.err)
 
 

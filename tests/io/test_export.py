@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import meshio
 import numpy as np
 import pytest
-from rich.console import Console
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
@@ -301,9 +300,5 @@ def test_displays_escape_and_tell(problem, solution):
     html = solution._repr_html_() + problem._repr_html_()
     assert "small &lt;&amp;&gt;" in html
     assert f"{solution.energy:.6g}" in html
-    with open("/dev/null", "w") as nowhere:
-        console = Console(width=100, record=True, file=nowhere)
-        console.print(problem, solution)
-    text = console.export_text()
-    assert "PlaneStrain" in text
-    assert "converged" in text
+    assert "PlaneStrain" in repr(problem)
+    assert "converged" in repr(solution)

@@ -6,20 +6,23 @@ from typing import Any
 
 import pytest
 
+from rmesh_nlp.io.records import Records
 from rmesh_nlp.report.blocks import (
     Case,
     block_key,
     blocks,
     delta_text,
     label,
-    names_of_solves,
 )
 from rmesh_nlp.report.columns import KINDS, Column
+from rmesh_nlp.report.tables import sections_of
 from support.reporting import designed, fixed_61, joint_61, joint_62
 
-OF = {kind.title: kind.columns for kind in KINDS}
-MAIN, COST, COMMON, ERRORS = OF[""], OF["Costs"], OF["Costs to a common level"], OF["Errors"]
-ENERGY, RESIDUAL, CERTIFICATE = OF["Energies by the rule of the problem"], OF["Residuals"], OF["Certificates"]
+MAIN, CERTIFICATE, _, _, ENERGY, COST, COMMON, RESIDUAL, ERRORS = (kind.columns for kind in KINDS)
+
+
+def names_of_solves(records: Records) -> list[str]:
+    return [row["solve"] for _, block in sections_of(records) for row in block.records]
 
 
 def test_records_are_grouped_in_the_order_of_their_appearance() -> None:

@@ -15,12 +15,12 @@ from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import Results
 from rmesh_nlp.report.columns import cells
 from rmesh_nlp.report.html_page import page
-from rmesh_nlp.report.joined import MESHES, STARTS, multistart_rows, refinement_notes, refinement_rows
+from rmesh_nlp.report.joined import STARTS, multistart_rows, refinement_notes, with_refinement_gains
 from rmesh_nlp.report.notes import block_notes, main_notes
 from rmesh_nlp.report.study_summary import RANGES, summary_table
 from rmesh_nlp.report.table import LINES, Table, latex_cell, latex_text
-from rmesh_nlp.report.tables import DETAILS, latex, markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
+from rmesh_nlp.report.tables import latex, markdown, write_tables
 from rmesh_nlp.solving.parts import FEW
 from support.reporting import ROWS, designed, failed, joint_61, joint_62
 
@@ -35,47 +35,12 @@ MARKDOWN = """\
 Relocation by each formulation. J is the total potential energy of the contact solution on the given and on the relocated mesh, as assessed: loads by an adaptive rule, gaps along whole edges, friction and curves integrated. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.
 
 - 6.2, mpcc: failed: RuntimeError: 100% & more_
-
-# Details
-
-## Energies by the rule of the problem
-
-| solve      | J given, own rule | J relocated, own rule |    u min |    u max | normal force | peak pressure | least area ratio |
-|:-----------|------------------:|----------------------:|---------:|---------:|-------------:|--------------:|-----------------:|
-| 6.2, joint |         -4.854190 |             -4.910330 | -0.05358 | 0.009488 |        132.2 |         171.5 |            0.132 |
-| 6.2, mpcc  |                 - |                     - |        - |        - |            - |             - |                - |
-
-Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the contact are those on the relocated mesh. Least area ratio: the smallest element area over its value on the given mesh. rmesh reproduce examines each of the paper's values.
-
-## Costs
-
-| solve      | start | contact solves, cold + warm | factorisations, contact; KKT | build [s] | solve [s] | audit [s] | cost [contact solves] |
-|:-----------|------:|----------------------------:|-----------------------------:|----------:|----------:|----------:|----------------------:|
-| 6.2, joint | given |                       1 + 2 |                7; 44 or more |      0.02 |      0.06 |     0.003 |                    20 |
-| 6.2, mpcc  |     - |                           - |                            - |         - |         - |         - |                     - |
-
-Cost: time of build and solve over that of one contact solve on the given mesh, the median of those that the rows measured. Factorisations of KKT matrices: at least as many as Ipopt took iterations.
-
-## Residuals
-
-| solve      | equil., own | equil., assessed | compl., own | compl., assessed | first-order residual | biactive | label |
-|:-----------|------------:|-----------------:|------------:|-----------------:|---------------------:|---------:|------:|
-| 6.2, joint |     3.1e-09 |          4.7e-13 |     2.0e-10 |                0 |              2.9e-06 |        0 |   KKT |
-| 6.2, mpcc  |           - |                - |           - |                - |                    - |        - |     - |
-
-Residuals of equilibrium and complementarity are dimensionless. Own: of the displacement and contact forces that the formulation ended with. Assessed: of an independent contact solve on its mesh. First-order residual: of the outer problem, over that on the given mesh. Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, a KKT point. Biactive: pairs of gap and contact force that both vanish.
-
-## Notes
-
-- Example 6.2: n = 12x6, delta = 0.15667 x 0.07333, midpoint rule.
 """  # noqa: E501
 
 DESIGN_ROWS = [designed(), failed(designed(), formulation="nested", wall_time_s=0.5)]
 
 DESIGNS = """\
 # Comparison of formulations
-
-## Outcome
 
 | solve                              | objective at start | objective at end | gain [%] | left on refined meshes [%] | violation | iterations |    status |
 |:-----------------------------------|-------------------:|-----------------:|---------:|---------------------------:|----------:|-----------:|----------:|
@@ -132,25 +97,20 @@ MANY = [
 
 
 def test_markdown_literally() -> None:
-    text = markdown(ROWS)
-    assert text.startswith(MARKDOWN)
-    short = markdown(ROWS, short=True)
-    assert text.startswith(short)
-    assert DETAILS not in short
-    assert markdown([], short=True).startswith("# Comparison of formulations\n\nNo solve has ended yet.")
+    assert markdown(ROWS, short=True) == MARKDOWN
+    assert markdown([], short=True).startswith("# Comparison of formulations\n\n- No solve has ended yet.")
 
 
 def test_designs_have_tables_of_their_own_and_no_energies() -> None:
-    text = markdown(DESIGN_ROWS)
+    text = markdown(DESIGN_ROWS, short=True)
     assert text.startswith(DESIGNS)
-    assert all(table in text.partition(DETAILS)[0] for table in DESIGN_TABLES)
+    assert all(table in text for table in DESIGN_TABLES)
     assert "J is the total" not in text
     assert "Problem seal: lengths in mm, forces in N per mm of depth." in text
     assert "J given" not in text
     both = markdown([*DESIGN_ROWS, *ROWS], short=True)
-    assert "| 6.2, joint | -4.854190 |" in both
-    assert "| seal, " not in both.partition("Relocation by each")[0]
-    assert DESIGNS.split("\n", 2)[2] in both
+    assert re.search(r"\| 6.2, joint +\| -4.854190 \|", both)
+    assert re.search(r"\| seal, mpcc, level-pressure\(face\) +\| +- \| +- \| +99.96 \| ", both)
     assert all(table in both for table in DESIGN_TABLES)
 
 
@@ -159,7 +119,7 @@ def test_many_design_variables_have_a_row_each() -> None:
     values = {name: float(k) for k, name in enumerate(names)}
     known = {"design": values, "design_initial": dict.fromkeys(names, 0.0), "constraints": None}
     row = designed(**known, design_bounds={name: [-9.0, 9.0] for name in names})
-    short, _, details = markdown([row]).partition(DETAILS)
+    short, details = markdown([row], short=True), markdown([row])
     assert "violation" not in short.split("\n\n")[2]
     assert "v1" not in short
     assert "| name |  bounds | start | mpcc |" in details
@@ -168,7 +128,7 @@ def test_many_design_variables_have_a_row_each() -> None:
 
 def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
     rows = [joint_62(family="f", variant="a", iterations=count) for count in (4, 6, 11)]
-    details = markdown(rows).partition(DETAILS)[2]
+    details = markdown(rows)
     table = summary_table(rows)
     (row,) = table.rows
     assert row[table.headings.index("iterations")] == "6 [4, 11]"
@@ -205,7 +165,7 @@ def test_latex_is_well_formed_and_tables_have_eight_columns_and_fit_a_page() -> 
 
 def test_latex_continues_a_long_table_and_wraps_a_long_label() -> None:
     rows = [[f"seed {k}", "1"] for k in range(LINES + 1)]
-    text = Table(["start", "J"], rows, "Starts.", notes=["a -1 note"]).latex()
+    text = Table(["start", "J"], rows, "Starts.").latex(["a -1 note"])
     assert text.count(r"\begin{table}") == text.count("a $-$1 note") == 2
     assert r"\addtocounter{table}{-1}\caption{Starts. (continued)}" in text
     assert text.count("seed ") == LINES + 1
@@ -256,29 +216,52 @@ def test_each_of_several_contact_boundaries_has_a_row(tmp_path: Path) -> None:
     assert ">upper side</td>" in page(tmp_path, [Results(tmp_path).result(two)], "", "t")
 
 
-def test_relocation_stands_beside_refinement() -> None:
+def test_all_solves_stand_in_one_table_that_fits_a_screen() -> None:
+    """Columns with one value are said once; on a screen the names of the rows are repeated."""
     given = joint_62(formulation="fixed", nodes=100, energy_initial_audited=-1.0, energy_audited=-1.0)
     moved = joint_62(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
     finer = {**given, "n": "f", "nodes": 400, "energy_initial_audited": -1.4, "energy_audited": -1.4}
-    finer["wall_time_s"] = 1.0
-    rows = cells(MESHES, refinement_rows([finer, given, moved]))
-    assert [[*row[:3], row[4]] for row in rows] == [
-        ["6.2, as given", "no motion", "100", "0"],
-        ["6.2, as given", "joint", "100", "0.2"],
-        ["6.2, refined", "no motion", "400", "0.4"],
-    ]
+    whole = Table(*_read(markdown([given, moved, finer])))
+    solves = ["6.2, n = 12x6, fixed", "6.2, n = 12x6, joint", "6.2, n = f, fixed"]
+    assert [row[0] for row in whole.rows] == solves
+    values = dict(zip(whole.head, zip(*whole.rows, strict=True), strict=True))
+    assert values["nodes"] == ("100", "100", "400")
+    assert values["gain over the given mesh"] == ("0", "0.2", "0.4")
+    assert all(len({*column}) > 1 for column in values.values())
+    text = markdown([given, moved, finer], width=80)
+    assert "The same for all: iterations 44, " in text
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    assert max(map(len, lines)) <= 80
+    assert {line.split("|")[1].strip() for line in lines} == {*solves, "solve", "", ":" + "-" * 21}
+    assert sum(line.count("|") - 2 for line in lines if "12x6, joint" in line) == len(values) - 1
+
+
+def _read(text: str) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the only table of a text."""
+    (table,) = re.findall(r"(?:^\|.*\n)+", text, re.M)
+    head, _, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines())
+    return head, rows
+
+
+def test_relocation_stands_beside_refinement() -> None:
+    given = joint_62(formulation="fixed", nodes=100, energy_initial_audited=-1.0, energy_audited=-1.0)
+    moved = joint_62(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
+    finer = {**given, "n": "f", "nodes": 400, "energy_audited": -1.4, "wall_time_s": 1.0}
+
+    def gains(*records: Record) -> list[float | None]:
+        return [record["refinement_gain"] for record in with_refinement_gains(records)]
+
     worse, finest = {**moved, "energy_audited": -1.1}, {**finer, "nodes": 1600, "energy_audited": -1.5}
     (note,) = refinement_notes([finest, worse, finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
     useless = {**moved, "energy_audited": -1.0 - 1e-15}
-    assert cells(MESHES, refinement_rows([given, useless, finer]))[1][4] == "0"
+    assert gains(given, useless, finer) == [0, 0, pytest.approx(0.4)]
     assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
     quadratic = {**given, "order": 2, "nodes": 400}  # another discretisation, no refinement
-    assert refinement_rows([given, quadratic]) == []
+    assert gains(given, quadratic) == [None, None]
     for no_row in ({**moved, "success": False}, {**moved, "objective": "error-l2"}, {**moved, "nodes": None}):
-        assert len(refinement_rows([given, finer, no_row])) == 2
-    assert "Relocation against uniform refinement" in markdown([given, moved, finer])
-    assert "Relocation against uniform refinement" not in markdown([given, moved])
+        assert gains(given, finer, no_row)[2] is None
+    assert "gain over the given mesh" not in markdown([given, moved])
 
 
 SOLVES = [joint_61(seed=seed, energy_audited=end) for seed, end in ((None, -1.47), (1, -1.48), (2, -1.46))]
@@ -305,7 +288,8 @@ def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
     assert "| 0.500000 | 1.00e-03 |   0 | 0.501000 |      0.501000 |" in text
     row = joint_62(formulation="mpcc", objective="error-l2", biactive_nodes=[3, 4])
     text = markdown([{**row, "objective_initial": 2.929e-3, "objective_value": 9.08e-4}])
-    assert "| 6.2, mpcc, error-l2 |       2.929000e-03 |     9.080000e-04 |       69 |" in text
+    assert "|       2.929000e-03 |     9.080000e-04 |" in text
+    assert "|       69 |" in text
     assert "|        2 |   KKT |" in text.partition("first-order residual")[2]
     assert "I1" not in markdown(ROWS)
     assert "objective at end" not in markdown(ROWS, short=True)
