@@ -124,10 +124,11 @@ def _in_binary(rest: bytes) -> Iterator[tuple[int, int, list[int]]]:
 
 def _by_entities(data: bytes, version: bytes, order: str) -> Parts:
     """Version 4: nodes and elements by entities of the geometry, which have the groups."""
-    groups, is_first = Groups(), version < b"4.1"
+    groups, parts, is_first = Groups(), Groups(), version < b"4.1"
     for name in (b"Entities", b"PartitionedEntities"):
         if _content(data, name):
-            groups |= _groups(_numbers(data, name, order), name == b"Entities", 6 if is_first else 3)
+            parts = _groups(_numbers(data, name, order), name == b"Entities", 6 if is_first else 3)
+            groups |= parts
     size, turned = (2, -1) if is_first else (4, 1)
     take, tables, elements = _numbers(data, b"Nodes", order), list[NDArray](), list[Any]()
     for _ in range(take("i8", size)[0]):
@@ -143,7 +144,12 @@ def _by_entities(data: bytes, version: bytes, order: str) -> Parts:
         *entity, kind = take("i4", 3).tolist()
         (count,), width = take("i8"), 1 + _size(kind)
         nodes = take("i8", count * width).reshape(-1, width)[:, 1:]
-        elements.append((kind, nodes, groups.get(tuple(entity[::turned]), [])))
+        place = tuple(entity[::turned])
+        elements.append((kind, nodes, groups.get(place, [])))
+        parts.pop(place, None)
+    for (dimension, tag), names in parts.items():
+        if dimension == 2 and names:  # the file has one part of a mesh, or one was not meshed
+            raise BadInputError(f"surface {tag} of a physical group has no elements: save all in one file")
     return np.vstack(tables), elements
 
 

@@ -392,6 +392,21 @@ def test_cards_of_nastran_that_would_be_passed_over_are_refused(tmp_path: Path, 
         read_mesh(path)
 
 
+def test_a_file_of_one_part_of_a_mesh_of_gmsh_is_refused(tmp_path: Path) -> None:
+    """Surfaces 1 and 2 have the group 7, the elements of the second are in another file."""
+    entities = "0 0 2 0\n1 0 0 0 1 1 0 1 7 0\n2 1 0 0 2 1 0 1 7 0"
+    nodes = "1 3 1 3\n2 1 0 3\n1\n2\n3\n0 0 0\n1 0 0\n1 1 0"
+    sections = {"MeshFormat": "4.1 0 8", "Entities": entities, "Nodes": nodes}
+    sections["Elements"] = "1 1 1 1\n2 1 2 1\n1 1 2 3"
+    path = tmp_path / "a.msh"
+    text = "".join(f"${name}\n{content}\n$End{name}\n" for name, content in sections.items())
+    path.write_text(text)
+    with pytest.raises(ValueError, match="surface 2 of a physical group has no elements"):
+        read_mesh(path)
+    path.write_text(text.replace("2 1 0 1 7 0", "2 1 0 0 0"))  # it is in no group
+    assert read_mesh(path).nelements == 1
+
+
 def test_names_that_no_edge_has_are_told(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
     path.write_text(MSH.format(names=NAMES.format(curve="foot").replace("4\n1 1", '5\n0 9 "corner"\n1 1')))
