@@ -132,6 +132,7 @@ class Adaptive(Wrapper):
             nonlocal reached
             outer, budget = reached.outer, monitor.budget
             while True:
+                before = budget.elapsed
                 on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.n_vertices
                 budget.iterations = number
                 monitor.work += Work(1, 1, on.state.iterations)
@@ -158,6 +159,7 @@ class Adaptive(Wrapper):
                 worst, seconds = np.max(excess), budget.elapsed
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
                 reached = solved.having({"estimates": figures, "meshes": meshes})
+                budget.kept = seconds - before  # its audit takes about as long
                 said = ", ".join(
                     [f"{nodes} nodes", *(f"{text} {estimate_in_words(figures[text])}" for text in wanted)]
                 )

@@ -23,7 +23,7 @@ from rmesh_nlp.solving.parts import Step, Work
 
 @dataclass(frozen=True)
 class Fixed(Formulation):
-    """Solves the contact problem on the mesh as given; start, seed and limits change nothing."""
+    """Solves the contact problem on the mesh as given; start and seed change nothing."""
 
     relocates: ClassVar[bool] = False
     takes_steps: ClassVar[bool] = True

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.assessment.parts import AlongEdges, Parts, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
+from rmesh_nlp.optimize.budget import checkpoint
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
@@ -173,6 +174,7 @@ def _barycentric(low: Array, width: Array, places: Array) -> Array:
 
 
 def _in_chunks(on_cells: Callable[..., Array], owner: Index, low: Array, width: Array, order: int) -> Array:
+    checkpoint()
     size = CHUNK // order
     parts = [slice(i, i + size) for i in range(0, owner.size, size)]
     return np.hstack([on_cells(owner[part], low[:, part], width[part], order) for part in parts])

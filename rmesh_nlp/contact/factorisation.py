@@ -15,6 +15,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse.linalg import SuperLU, splu
 
 from rmesh_nlp.evaluation import Array, Index
+from rmesh_nlp.optimize.budget import checkpoint
 
 try:
     from sksparse.cholmod import CholmodError, cholesky
@@ -30,6 +31,7 @@ Solve = Callable[[Array], Array]
 
 def factorised(K: sp.csc_array) -> Solve:
     """Sparse factorisation of a symmetric positive definite matrix."""
+    checkpoint()
     if 4 * K.nnz >= K.shape[0] ** 2 > 0:  # as where all but few unknowns are eliminated
         try:
             # numbers that are none pass, as they do through sparse factors
@@ -46,6 +48,7 @@ def factorised(K: sp.csc_array) -> Solve:
 
 def factorised_lu(K: sp.csc_array) -> tuple[Solve, Solve]:
     """Sparse factorisation of a matrix that is not symmetric; the second one solves with its transpose."""
+    checkpoint()
     solve = splu(K).solve
     return solve, partial(solve, trans="T")
 

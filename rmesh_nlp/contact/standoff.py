@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.optimize.budget import checkpoint
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
@@ -163,6 +164,7 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     turns = 2 * functions(space.order, steps) if space.order == 2 else np.zeros((len(shares), 0))
     size = 400_000 // where.shape[-1]
     for first in range(0, nodes.shape[1], size):
+        checkpoint()
         part = np.arange(nodes.shape[1])[first : first + size]
         points = at(part, np.broadcast_to(where, (*where.shape[:-2], part.size, where.shape[-1])))[0]
         looked = contact.obstacle.distances(points)

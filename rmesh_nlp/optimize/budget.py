@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal, TypeVar
@@ -22,6 +23,9 @@ Phase = Literal["build", "solve", "audit"]
 
 TIMING_SECONDS = 0.01
 """Time spent on measuring something short, which is repeated up to five times."""
+
+LEAST_AUDIT = 0.1
+"""Seconds that an audit may take whatever the limit: those of small meshes take less."""
 
 LEAST_SECONDS = 1e-3
 """Given to a library that takes no limit of zero."""
@@ -119,8 +123,16 @@ class Budget:
     @property
     def remaining(self) -> float:
         """Seconds that are left, not negative."""
-        own = max(0.0, self.limits.seconds - self.elapsed - self._seconds["audit"] - self.kept)
+        own = max(0.0, self._left - self.kept)
         return own if self._whole is None else min(own, self._whole.remaining)
+
+    @property
+    def _left(self) -> float:
+        return self.limits.seconds - self.elapsed - self._seconds["audit"]
+
+    def keep(self, seconds: float) -> None:
+        """Keep seconds for what follows an audit, which may take ``LEAST_AUDIT`` in any case."""
+        self.kept = min(seconds, self._left - LEAST_AUDIT)
 
     @property
     def iterations_left(self) -> int | None:
@@ -156,6 +168,22 @@ class Budget:
         """Raise a StoppedError if it is over."""
         if self.is_over():
             raise StoppedError(self.stopped or Status.INTERRUPTED)
+
+
+_check: ContextVar[Callable[[], object]] = ContextVar("check", default=lambda: None)
+"""That of the innermost :func:`checked`."""
+
+
+def checked(check: Callable[[], object], work: Callable[[], T]) -> T:
+    """The result of work whose long loops call ``check``, which raises a StoppedError to end them."""
+    context = copy_context()
+    context.run(_check.set, check)
+    return context.run(work)
+
+
+def checkpoint() -> None:
+    """Raise a StoppedError where what runs is to end. Called before each factorisation, and in long loops."""
+    _check.get()()
 
 
 def timed(first: Callable[[], object], again: Callable[[], object]) -> float:

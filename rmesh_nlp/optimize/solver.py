@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.errors import BadInputError, nearest
 from rmesh_nlp.evaluation import Array, flat, is_finite
-from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.budget import Budget, checked
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
@@ -182,7 +182,8 @@ class Solver:
         bounds = {"lbx": nlp.lbx, "ubx": nlp.ubx, "lbg": nlp.lbg, "ubg": nlp.ubg}
         watch = Budget()
         with self._callback.watched(monitor):
-            solution = self._function(x0=start, p=p, **{**bounds, **others})
+            # no checkpoint raises inside CasADi: the monitor stops the solver
+            solution = checked(lambda: None, lambda: self._function(x0=start, p=p, **{**bounds, **others}))
         stats = self._function.stats()
         word = str(stats["return_status"])
         return NLPResult(

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.optimize.budget import Limits, timed
+from rmesh_nlp.optimize.budget import Limits, deferred, timed
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
@@ -35,6 +36,9 @@ REFINED = 4
 MOST = 2000
 """Vertices of a mesh on which errors are estimated unasked: that takes 2 contact solves on small meshes, and
 4 on larger ones."""
+
+ENDED = "ended by the time limit, or by the user"
+"""Remark in the place of a certificate, or of estimates."""
 
 HIGHER = "the mesh is as it was given: the energy of the one that was reached is higher"
 
@@ -112,12 +116,13 @@ def solve(
         if is_spurious(end.assessment):
             end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
         stopped, reached = monitor.budget.stopped, end.assessment
-        if stopped is not None and audit:
+        monitor.budget.keep(end.contact_seconds)
+        if stopped is not None and reached.is_audited:
             if not reached.success and reached.solver_status is stopped:
-                end = monitor.finish(lambda: as_given(end, stopped))
+                end = monitor.finish(lambda: as_given(end, stopped)) or end
         elif plan.why and reached.status in (Status.WORSE, Status.EXPLOITED):
             # what chooses by itself hands nothing back that is worse
-            end = monitor.finish(lambda: as_given(end, Status.STALLED, HIGHER))
+            end = monitor.finish(lambda: as_given(end, Status.STALLED, HIGHER)) or end
         return _made(plan, end, safe, monitor, certify)
 
 
@@ -130,23 +135,27 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor, audit: bool = 
     with budget.during("build"):
         outer = plan.outer(problem)
     with budget.during("audit"):
-        contact, nodes = outer.contact, problem.mesh.p
+        contact, nodes, before = outer.contact, problem.mesh.p, budget.seconds("audit")
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
         # with a design the mesh as given is of another problem
         if audit and plan.formulation.relocates and not problem.design:
-            before, _ = budget.seconds("audit"), outer.initial
+            budget.keep(contact_seconds)
+            audit = monitor.finish(lambda: outer.initial) is not None
             budget.kept = 2 * (budget.seconds("audit") - before)  # of the final mesh and what compares them
     budget.enter("solve")
     begin, q, start = beginning(outer, plan.start, plan.seed, monitor)
     formulation = plan.formulation
     outcome = monitor.run(formulation, begin, q)
     spent = monitor.spent  # what the assessment solves is no part of it
-    # one contact solve is finite
+    # the contact solve on the given mesh ends whatever the limit
     stopped = budget.stopped if formulation.relocates else None
     first = outer if formulation.relocates else outcome.outer  # else nothing moves: it is one mesh
-    assessment = monitor.finish(
-        lambda: assess(first, outcome, stopped=stopped, relocates=formulation.relocates, audit=audit)
-    )
+    assessed = partial(assess, first, outcome, relocates=formulation.relocates)
+    budget.keep(contact_seconds)
+    assessment = monitor.finish(lambda: assessed(stopped=stopped, audit=audit))
+    if assessment is None:
+        with budget.during("audit"), deferred():
+            assessment = assessed(stopped=budget.stopped, audit=False)
     return RunEnd(outer, outcome, assessment, start, spent, contact_seconds)
 
 
@@ -155,16 +164,18 @@ def _made(plan: Plan, end: RunEnd, safe: str | None, monitor: Monitor, certify: 
     assessment, certificate, remark, reduced = end.assessment, None, None, None
     budget = monitor.budget
     with budget.during("audit"):
-        budget.kept *= REFINED
-        if plan.why and not budget.is_over():
+        budget.kept = REFINED * budget.seconds("audit")
+        has_time, budget.kept = not budget.is_over(), 0.0
+        if plan.why and has_time:
             reduced = monitor.attempt(lambda: reduced_error(assessment, end.spent.contact_solves))
         surviving = monitor.attempt(lambda: surviving_gain(assessment))
         if certify and budget.stopped is not Status.INTERRUPTED:
-            certificate, remark = certified(assessment)
+            certificate, remark = monitor.finish(lambda: certified(assessment)) or (None, ENDED)
         details, final = end.outcome.details, assessment.final
         is_due = final.mesh.p.shape[1] <= MOST and budget.stopped is not Status.INTERRUPTED
         if is_due and final.problem.origin is None and assessment.success and "estimates" not in details:
-            details = {**details, **monitor.finish(lambda: estimated(end.outcome.outer, final, certificate))}
+            found = monitor.finish(lambda: estimated(end.outcome.outer, final, certificate))
+            details = {**details, **({"estimates_remark": ENDED} if found is None else found)}
     why = "; ".join((plan.why, *end.outcome.remarks)) if plan.why else None
     return Solution(
         assessment=assessment,

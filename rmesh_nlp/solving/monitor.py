@@ -22,7 +22,7 @@ from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.mpcc import Iterate
-from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, deferred
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, checked
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -129,7 +129,8 @@ class Monitor:
             expect("what run returns", outcome, Outcome)
             return outcome
         if last is None:
-            return Outcome(outer, q, self.end)
+            lacks = "It ended before the last load step." if outer.problem.steps else ""
+            return Outcome(outer, q, self.end, lacks=lacks)
         start = q if last.outer.n == q.size else np.zeros(last.outer.n)
         return Outcome(last.outer, last.best(start), self.end)
 
@@ -141,7 +142,7 @@ class Monitor:
         if self.budget.stopped is not None:
             return None
         try:
-            return work()
+            return checked(self._check, work)
         except KeyboardInterrupt:
             self.budget.stopped = Status.INTERRUPTED
         except StoppedError as stop:
@@ -153,13 +154,19 @@ class Monitor:
         """What ended the solve."""
         return self.budget.stopped or Status.TIME_LIMIT
 
-    def finish(self, work: Callable[[], T]) -> T:
-        """The result of a part of the assessment; Ctrl-C is noted and ends what follows."""
-        with self.budget.during("audit"), deferred() as pressed:
-            result = work()
-        if pressed():
-            self.budget.stopped = Status.INTERRUPTED
+    def finish(self, work: Callable[[], T]) -> T | None:
+        """The result of a part of the assessment, whatever ended the solve before; None if it is ended."""
+        budget = self.budget
+        before, budget.stopped = budget.stopped, None
+        with budget.during("audit"):
+            result = self.attempt(work)
+        budget.stopped = budget.stopped or before
         return result
+
+    def _check(self) -> None:
+        """End what runs when time is over, once: what keeps the best mesh goes on."""
+        if self.budget.stopped is None and self.budget.remaining == 0:
+            raise StoppedError(Status.TIME_LIMIT)
 
 
 def _is_same(last: Step, step: Step) -> bool:

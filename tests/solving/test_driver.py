@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -15,9 +17,10 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.budget import Limits
+from rmesh_nlp.optimize import budget
+from rmesh_nlp.optimize.budget import Limits, checkpoint
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, Traction
+from rmesh_nlp.problem import ContactProblem, Laplace, LoadStep, Obstacle, Traction
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
@@ -93,6 +96,47 @@ def test_ctrl_c_after_the_assessment_keeps_the_solution(problem, during, monkeyp
     assert solution.energy == solved("joint", "6.2", (4, 2)).energy
     assert (solution.error_reduction is None) == (during == "reduced_error")
     assert solution.certificate is solution.certificate_remark is None  # nothing more is begun
+
+
+@pytest.mark.parametrize(("formulation", "share"), [("fixed", 0.5), ("fixed", 0.9), ("joint", 0.6)])
+def test_a_time_limit_ends_audits_and_what_follows(formulation, share, monkeypatch) -> None:
+    """By a clock that each look moves on. What was not done then is missing, and no success without audit."""
+    looks = itertools.count()
+    monkeypatch.setattr("time.perf_counter", lambda: float(next(looks)))
+    monkeypatch.setattr(budget, "LEAST_AUDIT", 0.0)
+    monkeypatch.setattr(driver, "MOST", 2000)
+    body = EXAMPLES["6.2"]((4, 2))
+    whole = solve(body, formulation, limits=Limits(seconds=1e9, iterations=2), certify=True)
+    most = share * whole.trace.wall_time_s
+    found = solve(body, formulation, limits=Limits(most, 2), certify=True)
+    row, is_audited = found.record(), bool(np.isfinite(found.energy_audited))
+    assert found.trace.wall_time_s < most + 15
+    assert (found.valid, found.success, found.energy_initial) == (True, is_audited, whole.energy_initial)
+    assert is_audited or (row["status"], row["solver_status"]) == ("unaudited", "time_limit")
+    assert "certificate_remark" in row or row["estimates_remark"] == driver.ENDED
+
+
+def test_a_limit_before_the_last_load_step_is_no_success() -> None:
+    loads = (Traction("top", (0.0, -30.0)),)
+    body = replace(EXAMPLES["6.3"]((4, 2)), steps=(LoadStep(tractions=loads),))
+    found = solve(body, "fixed", limits=Limits(seconds=1e-6))
+    assert not found.success
+    assert found.message.endswith("It ended before the last load step.")
+
+
+def test_ctrl_c_in_an_audit_keeps_the_mesh(problem, monkeypatch) -> None:
+    monkeypatch.setattr(budget, "LEAST_AUDIT", 0.0)
+
+    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        to = q - 0.1 * np.sign(outer.energy(q).gradient) * outer.discretisation.mesh_map.upper
+        monkeypatch.setattr(
+            Outer, "continuous", lambda *_: signal.raise_signal(signal.SIGINT) or checkpoint()
+        )
+        return Outcome(outer, to, Status.CONVERGED)
+
+    found = solve(problem, Ends(end))
+    assert (found.status, found.success) == (Status.INTERRUPTED, False)
+    assert found.energy < found.energy_initial
 
 
 def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactProblem) -> None:
