@@ -42,7 +42,7 @@ class Bends:
         result = np.ones(t.shape) if slopes else np.array(t)
         for number, function in enumerate(self._slopes if slopes else self.functions):
             mask = self.which == number
-            result[mask] = on_values(function, t[mask])
+            result[mask] = on_values((function,), t[mask])[0]
         return result
 
 

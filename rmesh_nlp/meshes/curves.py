@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, require
-from rmesh_nlp.evaluation import Array, is_finite, is_pair, magnitude, slope_of
+from rmesh_nlp.evaluation import Array, is_finite, is_pair, kind_of, magnitude, slope_of
 from rmesh_nlp.meshes.geometry import edges_on, lines_of
 from rmesh_nlp.settings import Number
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
@@ -65,11 +65,11 @@ class Curve(ABC):
 
     def at(self, t: Array) -> Array:
         """Points (2, n) at parameters (n,)."""
-        return _values(self.functions, t)
+        return on_values(self.functions, t)
 
     def velocity(self, t: Array) -> Array:
         """Derivatives (2, n) by the parameter."""
-        return _values(self._first, t)
+        return on_values(self._first, t)
 
     def nearest(self, points: Array) -> Array:
         """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
@@ -80,7 +80,7 @@ class Curve(ABC):
             off = self.at(t) - points
             velocity = self.velocity(t)
             slope, square = np.sum(off * velocity, axis=0), np.sum(velocity**2, axis=0)
-            curvature = square + np.sum(off * _values(self._second, t), axis=0)
+            curvature = square + np.sum(off * on_values(self._second, t), axis=0)
             move = -slope / np.where(curvature > 0.1 * square, curvature, square)
             move = np.clip(move, -step, step)
             t = t + move if self.closed else np.clip(t + move, low, high)
@@ -97,18 +97,19 @@ class Curve(ABC):
         return parameters
 
 
-def on_values(function: ca.Function, t: Array) -> Array:
-    """Values (n,) of a scalar Function of a scalar."""
-    t = np.asarray(t, dtype=float)
-    if t.size == 0 or function.nnz_out(0) == 0:  # the derivative of a constant has no entry
-        return np.zeros(t.size)
-    if is_vectorisable(function):  # ten to a hundred times faster
-        return Vectorised(function, t.size)([t.reshape(1, -1)])[0].ravel()
-    return function(ca.DM(t).T).full().ravel()
+def on_values(functions: tuple[ca.Function, ...], t: Array) -> Array:
+    """Values (functions, n) of scalar Functions of a scalar."""
+    function = _joined(functions)
+    if t.size == 0 or is_vectorisable(function):  # ten to a hundred times faster
+        return Vectorised(function, t.size)([t.reshape(1, -1)])[0]
+    return function(ca.DM(t).T).full().reshape(len(functions), -1)
 
 
-def _values(functions: Pair, t: Array) -> Array:
-    return np.stack([on_values(function, t) for function in functions])
+@lru_cache(maxsize=256)
+def _joined(functions: tuple[ca.Function, ...]) -> ca.Function:
+    """Once looked up for all; the derivative of a constant has no entry of its own."""
+    t = kind_of(*functions).sym("t")
+    return ca.Function("joined", [t], [ca.densify(ca.vertcat(*[function(t) for function in functions]))])
 
 
 def _slopes(functions: Pair) -> Pair:
