@@ -38,7 +38,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.conditions import as_tuple
-from rmesh_nlp.problem.contact_problem import locally_refined
+from rmesh_nlp.problem.contact_problem import bisected, on_mesh
 from rmesh_nlp.settings import Part
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import bounded
@@ -177,18 +177,19 @@ class Adaptive(Wrapper):
                     order = np.argsort(-adds, kind="stable")
                     share = np.cumsum(adds[order])
                     most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
-                    finer = locally_refined(outer.problem, most)
+                    problem = outer.problem
+                    finer = bisected(problem, problem.mesh, most)
                     if told and not self.guaranteed:  # contact ends along an edge, peaks are anywhere
                         places = on.ends(any(one.touching for one in likely))
-                        near = cKDTree(finer.mesh.p.T).query(places.T)[1]
-                        finer = locally_refined(finer, np.nonzero(np.isin(finer.mesh.t, near))[1])
+                        near = cKDTree(finer.p.T).query(places.T)[1]
+                        finer = bisected(problem, finer, np.nonzero(np.isin(finer.t, near))[1])
                     narrowing = nodes * worst if self.guaranteed and number > 1 else 0  # about like 1 / nodes
-                    if max(narrowing, finer.mesh.p.shape[1]) > LARGEST:
+                    if max(narrowing, finer.p.shape[1]) > LARGEST:
                         raise NotCertifiableError(
                             f"on {nodes} nodes the error, or half the width of bounds, is {worst:.3g} times "
                             f"too large (inf: not guaranteed), and {LARGEST} nodes would not suffice"
                         )
-                    outer = replace(outer, contact=on.solver(finer))
+                    outer = replace(outer, contact=on.solver(on_mesh(problem, finer, problem.motion)))
 
         why = ""
         try:

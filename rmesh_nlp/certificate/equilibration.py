@@ -97,11 +97,12 @@ class EquilibratedField:
     residual: float  # largest violation of equilibrium inside elements, relative to the largest force
     fields: TraceFields
     load: Loads
-    correction: Array  # what the field adds to that of the computed displacement
 
 
-def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> EquilibratedField:
-    """The field of largest dual energy, as the computed one and a correction.
+def corrected(
+    problem: ContactProblem, skeleton: Skeleton, guess: Guess
+) -> tuple[TraceFields, Loads, Balance, Array, Array]:
+    """The field of largest dual energy, as that of the computed displacement and what it adds to this.
 
     Raises NotCertifiableError for a kind of problem for which no field in equilibrium is known.
     """
@@ -116,16 +117,20 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
     conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
-    element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
-    u = guess.displacement
+    element, law, u = element_of(problem), law_of(problem, skeleton), guess.displacement
     start = 0 * u if problem.axisymmetric else u  # r times a hoop strain is no polynomial
     computed = of_displacement(element, law, skeleton, start)
     lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
-    fields = TraceFields(element, skeleton, law, lacking, inside.elements.size > 0)
+    fields = TraceFields(element, skeleton, law, lacking, conditions.inside.elements.size > 0)
     balanced = balance(hybrid(conditions, fields, computed, start), guess)
-    correction = fields.of_traces(balanced.traces)
-    field = computed + correction
-    pushing = load.balanced.copy()
+    return fields, load, balanced, computed, fields.of_traces(balanced.traces)
+
+
+def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> EquilibratedField:
+    """The field of :func:`corrected`, measured element by element."""
+    fields, load, balanced, computed, correction = corrected(problem, skeleton, guess)
+    u, field, pushing = guess.displacement, computed + correction, load.balanced.copy()
+    inside = balanced.assembled.conditions.inside
     pushing[0][:, inside.elements] += inside.sign * balanced.inside
     mean, forces, energy = fields.mean(field), fields.forces(field), fields.energy(field)
     if problem.axisymmetric:
@@ -148,7 +153,6 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         residual=fields.imbalance(field, pushing),
         fields=fields,
         load=load,
-        correction=correction,
     )
 
 

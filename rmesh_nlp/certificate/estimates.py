@@ -36,7 +36,7 @@ from scipy.spatial import cKDTree
 
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.equilibration import Guess, equilibrated
+from rmesh_nlp.certificate.equilibration import Guess, corrected
 from rmesh_nlp.certificate.fields import of_displacement
 from rmesh_nlp.certificate.hybrid import turned
 from rmesh_nlp.certificate.integrals import tractions
@@ -312,12 +312,12 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         raise NotCertifiableError("no displacement opens a crack at its end")
     skeleton = on.skeleton
     stresses = contact_stresses(on.space, on.nodes, state.normal_force, state.tangential_force)
-    field = equilibrated(problem, skeleton, Guess(on.u, *stresses))
-    fields, defect, balance, correction = field.fields, field.defect, field.balance, field.correction
+    fields, _, balance, _, correction = corrected(problem, skeleton, Guess(on.u, *stresses))
     assembled, system, solved = balance.assembled, balance.assembled.system, balance.solved
     if solved.status is not Status.CONVERGED:
         raise NotCertifiableError("the contact problem of the traces was not solved")
-    free, gained = ~assembled.held, float(np.sum(defect**2)) / 2
+    strains = fields.energy(correction)
+    free, gained, defect = ~assembled.held, float(np.sum(strains)), np.sqrt(2 * strains)
 
     def gaps(u: Array) -> Array:
         return system.normals @ assembled.of_displacement(u)[free]

@@ -108,7 +108,7 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     motions = space.rigid_motions(skeleton.nodes)
     rigid = [_of_displacement(axes, skeleton, conditions, motion)[free] for motion in motions]
     system = ContactSystem(
-        matrix[free][:, free],
+        matrix[:, free][free],
         (load - matrix @ (base - start))[free],
         0.0,
         normals[:, free],

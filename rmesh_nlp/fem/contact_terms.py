@@ -24,16 +24,17 @@ from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Obstacle, at
-from rmesh_nlp.problem.coefficients import OPEN, Coefficient
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, once
 from rmesh_nlp.problem.data import ContactSet
 
-OWN = np.ones(1)
+OWN = (1.0,)
 """Share of the one vertex that carries a node, and factor of its displacement."""
 
 FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
 
 
+@once
 def friction_energy(bound: Coefficient, edge: Cell) -> ca.Function:
     """``(*place, s_e) -> (energy, empty)`` on one contact edge.
 
@@ -51,15 +52,18 @@ def _forces(shares: Array) -> tuple[ca.SX, ...]:
     return ca.SX.sym("X", 2, shares.size), *map(ca.SX.sym, ("lambda", "mu_minus", "mu_plus"))
 
 
-def gap_function(obstacle: Obstacle, shares: Array, factors: Array = OWN) -> ca.Function:
+@once
+def gap_function(
+    obstacle: Obstacle, shares: tuple[float, ...], factors: tuple[float, ...] = OWN
+) -> ca.Function:
     """``(X_i, u) -> (0, gap)`` of one contact node: normal(X) . (u @ factors) + distance(X).
 
     At an edge it is the coefficient of the parabola through the gaps at ends and middle.
     """
-    X, (obstacle, moved) = ca.SX.sym("X", 2, shares.size), obstacle.unmoved
-    normals, distance = directions(obstacle, X, shares), obstacle.distance(*ca.vertsplit(X @ shares))
-    u, met = displaced(normals, factors)
-    if shares.size == 2:
+    X, (obstacle, moved), place = ca.SX.sym("X", 2, len(shares)), obstacle.unmoved, np.array(shares)
+    normals, distance = directions(obstacle, X, place), obstacle.distance(*ca.vertsplit(X @ place))
+    u, met = displaced(normals, np.array(factors))
+    if place.size == 2:
         ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.horzsplit(X)]
         distance = 2 * distance - (ends[0] + ends[1]) / 2
     gap = ca.dot(normals, met - ca.repmat(moved, 1, met.shape[1])) + distance
@@ -95,7 +99,7 @@ def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
             groups += edge_gaps(on, part, rows)
             continue
         for which, vertices, shares in on.space.kinds(part.nodes):
-            function = gap_function(part.obstacle, shares, part.factors)
+            function = gap_function(part.obstacle, tuple(shares), tuple(part.factors))
             local = on.positions.at(vertices), on.displacement.at(on.space.carriers(part, which, vertices))
             groups.append(on.group(function, local, rows[None, which]))
     return groups

@@ -276,11 +276,16 @@ def refined(problem: ContactProblem, *, mesh: MeshTri | None = None) -> ContactP
 
 
 def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProblem:
-    """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers.
+    """The problem with some triangles refined as by :func:`bisected`."""
+    return on_mesh(problem, bisected(problem, problem.mesh, elements), problem.motion)
 
-    The edges of a pair are halved on both sides or on none.
+
+def bisected(problem: ContactProblem, old: MeshTri, elements: NDArray) -> MeshTri:
+    """A mesh of a problem with some triangles refined, and what neighbours need.
+
+    Old nodes keep their numbers. The edges of a pair are halved on both sides or on none.
     """
-    old, (a, b), chosen = problem.mesh, problem.mesh.facets, np.unique(elements)
+    (a, b), chosen = old.facets, np.unique(elements)
     sides = [edges_of_pair(old, *names) for names in problem.pairs]
     while True:
         new = replace(old, _boundaries=None).refined(chosen)
@@ -297,7 +302,7 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}
     mesh = named(MeshTri(new.p, counter_clockwise(new.p, new.t)), boundaries, new.subdomains)
-    return on_mesh(problem, mesh, problem.motion)
+    return onto_curves(mesh, problem.motion.curves, anywhere=True)
 
 
 def renumbered(problem: ContactProblem, mesh: MeshTri, number: Mapping[int, int]) -> ContactProblem:
