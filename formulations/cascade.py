@@ -119,7 +119,7 @@ class Cascade(Formulation):
 
         def descend() -> None:
             with budget.during("build"):
-                problems = hierarchy(outer.problem, self.coarsest, budget)
+                problems = hierarchy(outer.problem, self.coarsest)
             for problem in problems:
                 with budget.during("build"):
                     level = (

@@ -56,7 +56,7 @@ class Remeshed(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         nodes = outer.problem.n_vertices if self.nodes is True else int(self.nodes)
         with monitor.budget.during("build"):
-            start = metric_start(Solved(outer.contact, outer.contact.given), nodes, monitor.budget)
+            start = metric_start(Solved(outer.contact, outer.contact.given), nodes)
         monitor.work += Work(len(start.nodes), len(start.nodes))
         remeshed = Outer(
             start.solved.solver, outer.objective, outer.tolerance, is_near=True, gain=start.solved.error

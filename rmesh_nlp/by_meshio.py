@@ -42,7 +42,7 @@ def read_file(path: Path, kind: str) -> meshio.Mesh | bytes:
     ValueError
         If it cannot be read within the limits.
     """
-    answer = _meshio.ask(packed((path.absolute(), kind)), None, SECONDS, MEGABYTES)
+    answer = _meshio.ask(packed((path.absolute(), kind)), SECONDS, MEGABYTES)
     made = answer.why if answer.line is None else unpacked(answer.line)
     if isinstance(made, str):
         raise BadInputError(

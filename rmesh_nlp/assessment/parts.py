@@ -126,9 +126,8 @@ def _zeros_along(
 def _bisected(value: Callable[[Array], Array], begin: Array, end: Array) -> Array:
     """(m,) where values (m, k) at places (m, k) first change their sign between two places each."""
     first, every = np.sign(value(begin[:, None])), np.arange(begin.size)
-    parts = 64 if begin.size < 64 else 8  # of few the calls take the time
     while np.any(end - begin > np.finfo(float).eps):
-        places = begin[:, None] + np.outer(end - begin, np.arange(parts + 1) / parts)
+        places = begin[:, None] + np.outer(end - begin, np.arange(9) / 8)
         is_low = np.pad(value(places[:, 1:-1]) * first > 0, ((0, 0), (0, 1)))
         before = np.argmin(is_low, axis=1)
         begin, end = places[every, before], places[every, before + 1]

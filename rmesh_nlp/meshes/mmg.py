@@ -17,7 +17,6 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user, pieces_of
-from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.process import Process, packed, serve, unpacked
 
 MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
@@ -39,7 +38,6 @@ def remeshed(
     lines: Index,
     fixed: Index,
     off_curves: float = 0.0,
-    budget: Budget | None = None,
 ) -> MeshTri:
     """A mesh of the same domain whose edges have about length one in a metric; names are kept.
 
@@ -55,15 +53,13 @@ def remeshed(
         Nodes that stay: corners, ends of parts.
     off_curves : float
         How far new edges on curved lines may be from the arc, in units of length; 0 if there are none.
-    budget : Budget, optional
-        Mmg runs in a process of its own, which is killed when this is over or Ctrl-C comes.
+
+    Mmg runs in a process of its own, which is killed when time is over or Ctrl-C comes.
 
     Raises
     ------
     BadInputError
         If mmgpy is not installed, or Mmg gives up.
-    StoppedError
-        If the budget is over before.
     """
     if not is_available():
         raise BadInputError(MISSING)
@@ -83,10 +79,8 @@ def remeshed(
         np.ascontiguousarray(tensors.T),
         off_curves or largest_side(mesh.p),
     )
-    answer = _mmg.ask(packed(given), budget)
+    answer = _mmg.ask(packed(given))
     if answer.line is None:
-        if budget is not None:
-            budget.check()
         raise BadInputError(f"Mmg cannot remesh this domain: it ended with code {answer.code}")
     made = unpacked(answer.line)
     if isinstance(made, str):

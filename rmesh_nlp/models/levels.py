@@ -16,7 +16,7 @@ from rmesh_nlp.evaluation import ROUNDING, Array, Index, magnitude
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.budget import checkpoint
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
 from rmesh_nlp.problem.body import Body, gradients
 from rmesh_nlp.problem.contact_problem import renumbered
@@ -43,11 +43,11 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
         return None  # nothing is left of a boundary or a subdomain
 
 
-def hierarchy(problem: ContactProblem, coarsest: int, budget: Budget) -> list[ContactProblem]:
+def hierarchy(problem: ContactProblem, coarsest: int) -> list[ContactProblem]:
     """The problem on coarser and coarser meshes, coarsest first, itself last."""
     levels = [problem]
     while True:
-        budget.check()
+        checkpoint()
         coarser = coarsened(levels[-1], coarsest)
         if coarser is None or not _is_fixed(coarser):
             return levels[::-1]

@@ -26,7 +26,7 @@ from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.geometry import edges_on, named_by_user, nodes_of, pieces_of
 from rmesh_nlp.meshes.mmg import LARGEST, remeshed
-from rmesh_nlp.optimize.budget import Budget, StoppedError
+from rmesh_nlp.optimize.budget import StoppedError
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
@@ -95,10 +95,10 @@ class MetricStart:
     energies: tuple[float, ...]
 
 
-def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> MetricStart:
+def metric_start(first: Solved, nodes: int) -> MetricStart:
     """Remesh the domain of a problem with a number of nodes, up to two percent, in the best metric.
 
-    There are three rounds, or as many as the budget allows; the mesh of least energy counts.
+    There are three rounds, or as many as time allows; the mesh of least energy counts.
 
     Raises
     ------
@@ -108,26 +108,22 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     ProblemError
         If the contact problem cannot be solved on a new mesh.
     StoppedError
-        If the budget is over before there is a mesh.
+        If time is over before there is a mesh.
     """
     if nodes > LARGEST:
         raise BadInputError(f"a new mesh may have up to {LARGEST} nodes, got {nodes}")
-    budget = budget or Budget()
     if not first.problem.has_energy:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
-    budget.check()
     current, ratio, off, done = first, float("nan"), sagitta(first.problem), list[Solved]()
     for _ in range(ROUNDS):
         try:
-            problem, ratio = remeshed_problem(current.problem, current.regions, nodes, ratio, off, budget)
+            problem, ratio = remeshed_problem(current.problem, current.regions, nodes, ratio, off)
             current = _solved(problem)
         except (BadInputError, StoppedError):
             if not done:
                 raise
             break
         done.append(current)
-        if budget.is_over():
-            break
     best = min(done, key=lambda solved: solved.state.energy)
     counts = tuple(solved.problem.n_vertices for solved in done)
     return MetricStart(best, counts, tuple(solved.state.energy for solved in done))
@@ -147,7 +143,6 @@ def remeshed_problem(
     nodes: int,
     ratio: float = float("nan"),
     off: float | None = None,
-    budget: Budget | None = None,
 ) -> tuple[ContactProblem, float]:
     """The problem on a mesh of a number of nodes, the best for derivatives recovered on its own.
 
@@ -163,7 +158,7 @@ def remeshed_problem(
     if np.isnan(ratio):
         ratio = problem.mesh.nelements / X.shape[1]
     while True:
-        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, off, budget)
+        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, off)
         if angle == 0 or np.min(least_angles(candidate.mesh.p, candidate.triangles)) >= angle:
             return candidate, ratio
         if even == 0:
@@ -179,12 +174,12 @@ def remeshed_problem(
 
 
 def _with_nodes(
-    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, off: float, budget: Budget | None
+    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, off: float
 ) -> tuple[ContactProblem, float]:
     """The problem on the mesh nearest to a number of nodes, and the ratio that gave it."""
     candidates: list[tuple[int, float, ContactProblem]] = []
     for _ in range(TRIALS):
-        made = _remeshed(problem, metric.with_triangles(ratio * nodes), off, budget)
+        made = _remeshed(problem, metric.with_triangles(ratio * nodes), off)
         count = made.mesh.p.shape[1]
         candidates.append((abs(count - nodes), ratio, made))
         if abs(count - nodes) <= EXACT * nodes:
@@ -197,7 +192,7 @@ def _with_nodes(
     return best, ratio
 
 
-def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budget | None) -> ContactProblem:
+def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactProblem:
     """The problem on a mesh that Mmg makes for a metric at its nodes; nodes that cannot move stay.
 
     Pairs are closed for it, and open again.
@@ -208,7 +203,7 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budge
     numbers = [*pinned, *problem.motion.numbers, *(load.node for load in problem.point_loads)]
     fixed, size = np.unique(now[numbers]), largest_side(mesh.p)
     for closer in CLOSER if off else CLOSER[:1]:
-        new = remeshed(mesh, tensors, line_facets(mesh), fixed, closer * off, budget)
+        new = remeshed(mesh, tensors, line_facets(mesh), fixed, closer * off)
         try:
             carried = _carried_over(problem, new)
         except ProblemError as error:

@@ -17,8 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
 
-from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
-from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.budget import Budget, Limits, checkpoint
 
 READY = b"ready"
 
@@ -47,21 +46,19 @@ class Process:
         self._process: subprocess.Popen[bytes] | None = None
         self._one_by_one, self._reader = threading.Lock(), ThreadPoolExecutor(1)
 
-    def ask(
-        self, request: bytes, whole: Budget | None, seconds: float = math.inf, megabytes: float = math.inf
-    ) -> Answer:
-        """The answer to a line, within these limits and those of a ``whole`` budget.
+    def ask(self, request: bytes, seconds: float = math.inf, megabytes: float = math.inf) -> Answer:
+        """The answer to a line, within these limits.
 
-        Ctrl-C, and a StoppedError where the budget was interrupted, end the process.
+        Ctrl-C, and a StoppedError of the checkpoints on the way, end the process.
         """
         with self._one_by_one:
             try:
                 for _ in range(ATTEMPTS):
-                    process = self._ready(whole)
+                    process = self._ready()
                     with suppress(OSError):  # it died while it had nothing to do, and gives no answer
                         cast(IO[bytes], process.stdin).write(request + b"\n")
                         cast(IO[bytes], process.stdin).flush()
-                    watch = Budget(Limits(seconds), whole)
+                    watch = Budget(Limits(seconds))
                     line, why = self._answer(process, watch, megabytes)
                     code = self.close() if line is None else None
                     if why != "died":
@@ -85,7 +82,7 @@ class Process:
         """Memory that the process holds; 0 without one."""
         return 0.0 if self._process is None else _megabytes(self._process.pid)
 
-    def _ready(self, whole: Budget | None) -> subprocess.Popen[bytes]:
+    def _ready(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._process.poll() is None:
             return self._process
         self.close()
@@ -99,7 +96,7 @@ class Process:
         )
         if self._cores and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(process.pid, self._cores)
-        line, _ = self._answer(process, Budget(Limits(PATIENCE_S), whole))
+        line, _ = self._answer(process, Budget(Limits(PATIENCE_S)))
         if line is None or line.strip() != READY:
             raise OSError(f"no process of {self._module} could be started: it ended with code {self.close()}")
         return process
@@ -113,9 +110,8 @@ class Process:
             with suppress(TimeoutError):
                 line = reading.result(POLL_S)
                 return (line, "") if line.endswith(b"\n") else (None, "died")
+            checkpoint()
             if budget.is_over():
-                if budget.stopped is Status.INTERRUPTED:
-                    raise StoppedError
                 return None, "time_limit"
             if megabytes < _megabytes(process.pid):
                 return None, "memory_limit"

@@ -166,6 +166,7 @@ class Monitor:
     def _check(self) -> None:
         """End what runs when time is over, once: what keeps the best mesh goes on."""
         if self.budget.stopped is None and self.budget.remaining == 0:
+            self.budget.stopped = Status.TIME_LIMIT
             raise StoppedError(Status.TIME_LIMIT)
 
 

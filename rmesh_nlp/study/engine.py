@@ -20,7 +20,7 @@ from typing import Any
 from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Results
-from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.budget import Budget, checked
 from rmesh_nlp.optimize.process import PATIENCE_S
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.monitor import OnStep
@@ -108,13 +108,13 @@ def _by_workers(plan: Sequence[PlannedSolve], folder: Path, jobs: int) -> Ended:
     def solved(solve: PlannedSolve) -> Record:
         worker = idle.get()
         try:
-            return worker.perform(solve)
+            return checked(session.check, lambda: worker.perform(solve))
         finally:
             idle.put(worker)
 
     with ExitStack() as workers, concurrent.futures.ThreadPoolExecutor(count) as pool:
         for _ in range(count):
-            idle.put(workers.enter_context(Worker(folder, session)))
+            idle.put(workers.enter_context(Worker(folder)))
         try:
             solve_of = {pool.submit(solved, solve): solve for solve in plan}
             for future in concurrent.futures.as_completed(solve_of):

@@ -55,12 +55,11 @@ class Worker:
     """Performs planned solves of the study in a folder, one at a time; as a context it is closed at the end.
 
     They are solved in a process of its own. If there is one, it takes a core for itself, on which that is
-    pinned; rows of solves that had no core alone carry ``shared = true``. Once the ``session`` is stopped a
-    StoppedError ends its solve.
+    pinned; rows of solves that had no core alone carry ``shared = true``.
     """
 
-    def __init__(self, folder: Path, session: Budget | None = None) -> None:
-        self._folder, self._session = folder, session
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._core = _own_core()
         cores = None if self._core is None else {self._core[0]}
         self._process = Process("rmesh_nlp.study.worker", cores)
@@ -98,7 +97,7 @@ class Worker:
         """What the process answers, whatever happens to it; it keeps the fields in the folder."""
         request = json.dumps({"solve": solve.plain(), "folder": str(self._folder)})
         seconds = solve.time_s * GRACE + GRACE_S
-        answer = self._process.ask(request.encode(), self._session, seconds, solve.memory_mb)
+        answer = self._process.ask(request.encode(), seconds, solve.memory_mb)
         if answer.line is not None:
             if self._process.megabytes > 0.5 * solve.memory_mb:
                 self._process.close()  # what a leak has left is not charged to the next solve

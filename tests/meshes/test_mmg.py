@@ -15,7 +15,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes import mmg, named, shapes
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.mmg import remeshed
-from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, checked
 from rmesh_nlp.optimize.process import Answer
 from rmesh_nlp.problem.lines import line_facets
 from support.quality import sizes
@@ -121,7 +121,7 @@ class TestErrors:
             raise RuntimeError("no memory")
 
         monkeypatch.setattr(mmgpy.MmgMesh2D, "remesh", fail)
-        monkeypatch.setattr(mmg._mmg, "ask", lambda line, _: Answer(mmg._made(line), "", None, 0.0))
+        monkeypatch.setattr(mmg._mmg, "ask", lambda line: Answer(mmg._made(line), "", None, 0.0))
         with pytest.raises(BadInputError, match="Mmg cannot remesh this domain: no memory"):
             made(shapes.rectangle(2, 2), 0.3)
         monkeypatch.setattr(mmg._mmg, "ask", lambda *_: Answer(None, "died", -11, 0.0))
@@ -152,7 +152,7 @@ class TestEnds:
         if by == "Ctrl-C":
             least.start()
         with pytest.raises(StoppedError if by == "time limit" else KeyboardInterrupt):
-            remeshed(mesh, uniform(mesh, 3e-5), line_facets(mesh), corner_nodes(mesh), budget=budget)
+            checked(budget.check, lambda: made(mesh, 3e-5))
         assert 0.2 < budget.elapsed < 10
         assert mmg._mmg.megabytes == 0  # no process is left
         assert sizes(made(mesh, 0.2)) == pytest.approx(sizes(mesh))

@@ -27,7 +27,7 @@ from rmesh_nlp.models.remeshing import (
     remeshed_problem,
     sagitta,
 )
-from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
+from rmesh_nlp.optimize.budget import StoppedError
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     NO_CONTACT,
@@ -186,9 +186,7 @@ def coarsest() -> Solved:
 class TestRounds:
     """Of a start whose meshes have given energies or fail; each begins on the mesh of the one before."""
 
-    def start(
-        self, monkeypatch: pytest.MonkeyPatch, ends: list[Any], budget: Budget | None = None
-    ) -> MetricStart:
+    def start(self, monkeypatch: pytest.MonkeyPatch, ends: list[Any]) -> MetricStart:
         left, names = list(ends), ["6.1"]
 
         def remesh(problem: ContactProblem, _: Any, size: int, *__: Any) -> Any:
@@ -199,8 +197,6 @@ class TestRounds:
             return replace(problem, name=names[-1]), 2.0
 
         def solve(problem: ContactProblem) -> Solved:
-            if budget is not None:
-                budget.iterations = 1
             if isinstance(end := left.pop(0), Exception):
                 raise end
             solved = Solved.of(problem)
@@ -208,7 +204,7 @@ class TestRounds:
 
         monkeypatch.setattr(remeshing, "remeshed_problem", remesh)
         monkeypatch.setattr(remeshing, "_solved", solve)
-        return metric_start(coarsest(), 9, budget)
+        return metric_start(coarsest(), 9)
 
     @pytest.mark.parametrize(
         ("energies", "best"), [([-1.0, -2.0, -2.01, -9.0], -2.01), ([-1.0, -2.0, -1.9], -2.0)]
@@ -220,12 +216,6 @@ class TestRounds:
         assert start.solved.state.energy == best
         assert start.energies == tuple(energies[:ROUNDS])
         assert start.nodes == (9,) * ROUNDS
-
-    def test_rounds_end_with_the_budget(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        budget = Budget(Limits(iterations=1))
-        assert self.start(monkeypatch, [-1.0, -2.0], budget).energies == (-1.0,)
-        with pytest.raises(StoppedError):
-            metric_start(coarsest(), 9, budget)
 
     @pytest.mark.parametrize(
         "error", [ProblemError("mesh", "not solved"), BadInputError("folds"), StoppedError()]

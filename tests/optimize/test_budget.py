@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.contact import active_set
-from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, checked
 from rmesh_nlp.optimize.process import Process
 from rmesh_nlp.optimize.status import Status
 from support.formulations import auto, fixed, joint, nested
@@ -48,11 +48,11 @@ def test_what_remains_is_without_audits_and_no_more_than_is_left_of_the_whole(
     assert Budget(Limits(seconds=2.0), whole).remaining == 2.0
 
 
-def test_a_process_of_an_interrupted_budget_is_ended_and_nothing_else_is_said() -> None:
+def test_a_process_is_ended_at_a_checkpoint() -> None:
     whole, process = Budget(), Process("rmesh_nlp.meshes.mmg")
     whole.stopped = Status.INTERRUPTED
     with pytest.raises(StoppedError):
-        process.ask(b"", whole)
+        checked(whole.check, lambda: process.ask(b""))
     assert process.megabytes == 0
 
 
