@@ -11,6 +11,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -84,6 +85,10 @@ class Continuous:
         self.cells = [cells for part in sets for cells in cells_of(body, self.space, part)]
         rubbing = [part for part in sets if part.obstacle.friction_law.has_given]
         self._rubbing = [(part, body.edges_of(part.obstacle)) for part in rubbing]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Symbols and factors can't be pickled: it is made anew."""
+        return Continuous, (self.problem, self.body.nodes)
 
     @cached_property
     def _bare(self) -> ContactSystem:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -224,6 +224,10 @@ class RotatedSystem:
         self.F = self.basis.T @ system.load
         self._coulomb = system.coulomb
         self._factor: tuple[bytes, Factors] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the factors, which can't be pickled."""
+        return {**vars(self), "_factor": None}
 
     @property
     def last(self) -> Index:

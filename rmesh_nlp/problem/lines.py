@@ -51,7 +51,7 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     edges are, while a flat arc of many edges is within rounding at each of them. So lines are cut where a
     node is farther from that through its neighbours than rounding explains. What lies between two cuts is
     straight if all of it is within rounding of the line through its ends; arcs are not, unless they are no
-    higher than that. Cuts are ten times farther, or edges of an arc that are short enough were a piece.
+    higher than that. Where rounding is more than ``FLAT`` nodes stay, with a warning. Cuts are ten times farther, or edges of an arc that are short enough were a piece.
     """
     close = 1.5 * last_digit(mesh.p)  # a node and the line are half a unit off in two directions: sqrt(2)
     exact = 100 * EPSILON * largest_side(mesh.p)
@@ -67,7 +67,12 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     piece, node, count = np.unique(piece[is_open], return_inverse=True)[1], node[is_open], count[is_open]
     a, b = mesh.p[:, node[count == 1]].reshape(2, -1, 2).transpose(2, 0, 1)[..., piece]
     off, length = _distances(mesh.p[:, node], a, b), np.linalg.norm(b - a, axis=0)
-    bent = np.bincount(piece, off > np.minimum(close, FLAT * length))[piece] > 0
+    bent, curved = (
+        np.bincount(piece, off > most)[piece] > 0 for most in (np.minimum(close, FLAT * length), close)
+    )
+    if np.any(doubtful := bent & ~curved & (off > exact)):
+        said = f"left {doubtful.sum()} nodes up to {np.max(off[doubtful]):.2g} off straight lines, which "
+        repaired(said + "rounding would explain: they do not slide; write coordinates with more digits")
     moved = ~bent & (off > exact)
     if not np.any(moved):
         return mesh

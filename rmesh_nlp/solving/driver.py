@@ -30,9 +30,6 @@ from rmesh_nlp.solving.plan import Plan, Start, beginning
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
 
-REFINED = 4
-"""Triangles of a refined mesh for each one, and about how much longer its assessment takes."""
-
 MOST = 2000
 """Vertices of a mesh on which errors are estimated unasked: that takes 2 contact solves on small meshes, and
 4 on larger ones."""
@@ -164,9 +161,8 @@ def _made(plan: Plan, end: RunEnd, safe: str | None, monitor: Monitor, certify: 
     assessment, certificate, remark, reduced = end.assessment, None, None, None
     budget = monitor.budget
     with budget.during("audit"):
-        budget.kept = REFINED * budget.seconds("audit")
-        has_time, budget.kept = not budget.is_over(), 0.0
-        if plan.why and has_time:
+        budget.kept = 0.0
+        if plan.why:
             reduced = monitor.attempt(lambda: reduced_error(assessment, end.spent.contact_solves))
         surviving = monitor.attempt(lambda: surviving_gain(assessment))
         if certify and budget.stopped is not Status.INTERRUPTED:

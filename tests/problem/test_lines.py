@@ -39,6 +39,14 @@ def test_nodes_of_rounded_straight_sides_slide_along_them(form: str, size: float
     assert onto_lines(problem.mesh) is problem.mesh
 
 
+@pytest.mark.parametrize(("form", "sagitta", "warns"), [("%.3f", 0, 1), ("%.5f", 0, 0), ("%.5f", 0.01, 0)])
+def test_nodes_that_rounding_alone_takes_off_a_line_are_told(form: str, sagitta: float, warns: int) -> None:
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        onto_lines(turned(form, sagitta, 16, 4.0))
+    assert sum("up to 0.000" in str(one.message) for one in said) == warns
+
+
 @pytest.mark.parametrize("n", [8, 64, 200])
 @pytest.mark.parametrize("form", ["%.17g", *FORMS])
 @pytest.mark.parametrize("sagitta", [1e-3, -3e-4])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import sys
 from dataclasses import replace
@@ -282,6 +283,13 @@ def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure() -
 
     assert found(both) == [6.0, 3.0, 12.0]
     assert found({}) == [None] * 3
+
+
+def test_a_solution_can_be_pickled_with_its_factors_and_its_audit() -> None:
+    found = nested.solve(EXAMPLES["6.3"]((16, 8)), limits=Limits(iterations=1))  # too large for dense factors
+    again = pickle.loads(pickle.dumps(found))
+    assert again.record() == found.record()
+    assert rm.certify(again).lower == rm.certify(found).lower
 
 
 def test_the_pages_have_the_declared_entries_and_all_public_names(monkeypatch: pytest.MonkeyPatch) -> None:
