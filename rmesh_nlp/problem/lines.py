@@ -51,7 +51,8 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     edges are, while a flat arc of many edges is within rounding at each of them. So lines are cut where a
     node is farther from that through its neighbours than rounding explains. What lies between two cuts is
     straight if all of it is within rounding of the line through its ends; arcs are not, unless they are no
-    higher than that. Where rounding is more than ``FLAT`` nodes stay, with a warning. Cuts are ten times farther, or edges of an arc that are short enough were a piece.
+    higher than that. Where rounding is more than ``FLAT`` nodes stay, with a warning. Cuts are ten times
+    farther, or edges of an arc that are short enough were a piece.
     """
     close = 1.5 * last_digit(mesh.p)  # a node and the line are half a unit off in two directions: sqrt(2)
     exact = 100 * EPSILON * largest_side(mesh.p)

@@ -286,10 +286,10 @@ def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure() -
 
 
 def test_a_solution_can_be_pickled_with_its_factors_and_its_audit() -> None:
-    found = nested.solve(EXAMPLES["6.3"]((16, 8)), limits=Limits(iterations=1))  # too large for dense factors
+    found = fixed.solve(EXAMPLES["6.3"]((16, 8)))  # too large for dense factors
     again = pickle.loads(pickle.dumps(found))
     assert again.record() == found.record()
-    assert rm.certify(again).lower == rm.certify(found).lower
+    assert again.final.continuous.continuous.solve().energy == pytest.approx(found.energy_audited, rel=1e-9)
 
 
 def test_the_pages_have_the_declared_entries_and_all_public_names(monkeypatch: pytest.MonkeyPatch) -> None:
