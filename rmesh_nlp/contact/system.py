@@ -328,11 +328,12 @@ def _inverse(matrix: sp.csc_array) -> sp.csr_array:
 def _places(rows: sp.csr_array, taken: Mask) -> Index:
     """For each row the column of its largest entry that is not taken, which then is; -1 without any.
 
-    Entries count for less in a column of many, such as that of a tool.
+    Entries count for less in a column of many, such as that of a tool; of equal ones the first is taken, so
+    that gap and slip of a pair at 45 degrees take both components of one node.
     """
     entries, place = rows.tocoo(), np.full(rows.shape[0], -1)
     size = np.abs(entries.data) / np.bincount(entries.col)[entries.col]
-    order = np.lexsort((-size, np.diff(rows.indptr)[entries.row]))
+    order = np.lexsort((entries.col, -np.round(size, 9), np.diff(rows.indptr)[entries.row]))
     row, column = entries.row[order], entries.col[order]
     while (left := (place[row] < 0) & ~taken[column]).any():
         row, column = row[left], column[left]

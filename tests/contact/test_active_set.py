@@ -252,11 +252,14 @@ def spring(gap: float, normal: float, slip: float, tangential: float, **changes:
         stiffness=sp.csc_array(10.0 * np.eye(4)),
         load=np.array([8.0, 0.0, 0.0, 0.0]),
         constant=0.0,
-        normals=sp.csr_array(np.array([[0.0, 1.0, 0.0, 0.0]])),
-        tangents=sp.csr_array(np.array([[0.0, 0.0, 1.0, 0.0]])),
         offset=np.array([gap + 1.0]),
         slip_bound=np.array([4.0]),
-        **{"frictional": np.ones(1, dtype=bool), **changes},
+        **{
+            "normals": sp.csr_array(np.array([[0.0, 1.0, 0.0, 0.0]])),
+            "tangents": sp.csr_array(np.array([[0.0, 0.0, 1.0, 0.0]])),
+            "frictional": np.ones(1, dtype=bool),
+            **changes,
+        },
     )
     state = Equilibrium(
         u=np.array([2.0, -1.0, slip, 0.0]),
@@ -268,6 +271,15 @@ def spring(gap: float, normal: float, slip: float, tangential: float, **changes:
         iterations=1,
     )
     return system, state
+
+
+def test_gap_and_slip_of_a_pair_at_45_degrees_are_unknowns() -> None:
+    rows = np.sqrt(0.5) * np.array([[1, 1, -1, -1], [1, -1, -1 - 1e-15, 1]])
+    normals, tangents = (sp.csr_array(row[None]) for row in rows)
+    system, _ = spring(0.0, 0.0, 0.0, 0.0, normals=normals, tangents=tangents)
+    basis = system.rotated.basis
+    np.testing.assert_allclose((rows @ basis)[:, system.rotated.last], np.eye(2), atol=1e-12)
+    assert np.max(np.abs(basis.data)) < 2
 
 
 WEAK = [
