@@ -143,7 +143,7 @@ def is_number(coefficient: Coefficient | None) -> TypeGuard[float]:
 
 def is_nonzero(coefficient: Coefficient) -> bool:
     """Whether a coefficient is anything but the number zero."""
-    return not is_number(coefficient) or coefficient != 0
+    return not is_number(coefficient) or bool(coefficient != 0)
 
 
 @dataclass(frozen=True)

@@ -206,6 +206,12 @@ def test_what_is_no_material_and_no_function_is_refused(make: object, message: s
         make()
 
 
+@pytest.mark.parametrize("number", [np.float64(0.5), np.float32(0.5), np.array(0.5)], ids=repr)
+def test_a_friction_bound_is_a_number_of_numpy(number: Any) -> None:
+    body = rectangle(2, 2), PlaneStrain(1.0, 1.0), "left", Obstacle("bottom", (0.0, 1.0), friction=number)
+    assert ContactProblem(*body).frictional
+
+
 @pytest.mark.parametrize(
     "value",
     [None, "10", (1.0, 2.0), np.ones(2), ca.vertcat(1, 2), np.array("a"), Fraction(1, 2), np.complex128(1j)],
