@@ -221,8 +221,8 @@ def test_a_friction_bound_is_a_number_of_numpy(number: Any) -> None:
     [
         (lambda f: {"tractions": Traction("top", (f, 0.0))}, "component 1 of the traction on 'top'"),
         (lambda f: {"law": PlaneStrain(1.0, 1.0, (0.0, f))}, "component 2 of the body force"),
-        (lambda f: {"obstacle": Obstacle.graph("bottom", f)}, "the obstacle"),
-        (lambda f: {"obstacle": Obstacle("bottom", friction=f)}, "the friction bound"),
+        (lambda f: {"obstacle": Obstacle.graph("bottom", f)}, "the obstacle on 'bottom'"),
+        (lambda f: {"obstacle": Obstacle("bottom", friction=f)}, "the friction bound on 'bottom'"),
     ],
 )
 def test_a_coefficient_is_one_number(changes: Any, named: str, value: Any) -> None:
