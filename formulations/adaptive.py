@@ -2,8 +2,8 @@
 
 Each mesh is solved, the errors are estimated (:mod:`rmesh_nlp.certificate.estimates`), and the triangles that
 add most to those above the accuracy are bisected: as many as have ``BULK`` of the sum [1]_. Where contact
-ends they are bisected once more: what the place of that end is worth in a force falls like its square, and no
-formula corrects it.
+ends they are bisected once more, and alone before the end where the place of that end is more than a third of
+the error: what it is worth in a force falls like the square of the edges, and is known roughly.
 
 References
 ----------
@@ -49,7 +49,7 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step, Work
 from rmesh_nlp.solving.summary import estimate_in_words
 
-BULK = 0.7
+BULK = 0.6
 """Share of the indicators in the triangles that are refined."""
 
 FIRST = 0.05
@@ -127,10 +127,11 @@ class Adaptive(Wrapper):
         energy = self.accuracy**2 / (1 + self.guaranteed)
         parts = np.array([energy if text == ENERGY else self.accuracy for text in wanted])
         reached = Outcome(outer, np.zeros(outer.n), Status.STALLED)
+        has_ends = bool(told) and not self.guaranteed
 
         def refine() -> None:
             nonlocal reached
-            outer, budget = reached.outer, monitor.budget
+            outer, budget, only_ends = reached.outer, monitor.budget, False
             while True:
                 before = budget.elapsed
                 on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.n_vertices
@@ -164,7 +165,10 @@ class Adaptive(Wrapper):
                     [f"{nodes} nodes", *(f"{text} {estimate_in_words(figures[text])}" for text in wanted)]
                 )
                 monitor.note(Step(number, on.state.energy, 0.0, 0.0, np.nan, number + 1, seconds, said=said))
-                if worst <= 1:
+                places = on.ends(any(one.touching for one in likely))  # peaks are anywhere in contact
+                is_doubted = places.size > 0 and any(one.doubt > one.error / 3 for one in likely)
+                only_ends = worst <= 1 and is_doubted and has_ends and not only_ends
+                if worst <= 1 and not only_ends:
                     if grow := [text for text in wanted if not figures[text]["converges"]]:
                         raise NotCertifiableError(f"{grow[0]} may have no limit on finer meshes")
                     reached = replace(reached, status=Status.CONVERGED)
@@ -178,9 +182,8 @@ class Adaptive(Wrapper):
                     share = np.cumsum(adds[order])
                     most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
                     problem = outer.problem
-                    finer = bisected(problem, problem.mesh, most)
-                    if told and not self.guaranteed:  # contact ends along an edge, peaks are anywhere
-                        places = on.ends(any(one.touching for one in likely))
+                    finer = problem.mesh if only_ends else bisected(problem, problem.mesh, most)
+                    if has_ends:
                         near = cKDTree(finer.p.T).query(places.T)[1]
                         finer = bisected(problem, finer, np.nonzero(np.isin(finer.t, near))[1])
                     narrowing = nodes * worst if self.guaranteed and number > 1 else 0  # about like 1 / nodes

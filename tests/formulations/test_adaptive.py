@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from formulations import adaptive
 from rmesh_nlp.certificate.estimates import Estimate
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
@@ -223,6 +224,21 @@ def test_triangles_where_contact_ends_are_bisected_once_more() -> None:
     assert solution.success
     assert abs(force["value"] - 8.29152) < 1e-3 * 8.29152
     assert 0.75 < force["error"] / abs(force["computed"] - 8.29152) < 1.35
+
+
+def test_end_of_contact_is_refined_alone_where_the_error_hangs_on_it(
+    body: rm.ContactProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once: the accuracy is reached on the first mesh."""
+    known = adaptive.estimates
+    monkeypatch.setattr(
+        adaptive, "estimates", lambda *on: [one._replace(doubt=0.4 * one.error) for one in known(*on)]
+    )
+    solution = rm.solve(body, accuracy=0.5)
+    new = solution.mesh.p[:, body.n_vertices :]
+    assert len(solution.details["meshes"]) == 2
+    assert 0 < new.shape[1] < 20
+    assert np.ptp(new, axis=1) == pytest.approx([0.4, 0.2], abs=0.2)
 
 
 def test_force_that_follows_from_the_load_takes_one_mesh(tmp_path: Path) -> None:
