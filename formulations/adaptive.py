@@ -141,8 +141,12 @@ class Adaptive(Wrapper):
                 ends = dict(zip(every, map(ended, zip(*sequence, strict=True)), strict=True))
                 peaks = {f"peak({name})" for name in unlimited_peaks(on.space, on.nodes, on.state)}
                 figures = {text: end.record(text not in peaks) for text, end in ends.items()}
-                reached = solved = Outcome(
-                    outer, np.zeros(outer.n), Status.STALLED, label="", details={"estimates": figures}
+                reached = Outcome(
+                    outer,
+                    np.zeros(outer.n),
+                    Status.STALLED,
+                    label="",
+                    details={"estimates": figures, "meshes": meshes},
                 )
                 likely = [ends[text] for text in wanted]
                 allowed = np.maximum(parts * np.abs([end.value for end in likely]), 1e-300)
@@ -150,7 +154,7 @@ class Adaptive(Wrapper):
                 if self.guaranteed:
                     errors = np.array([end.half for end in likely])
                     if not 1 < np.max(errors / allowed) < LARGEST / nodes or budget.is_over():
-                        proved = bounded(assess(outer, solved, relocates=False), wanted, 0).bounds
+                        proved = bounded(assess(outer, reached, relocates=False), wanted, 0).bounds
                         for i, text in enumerate(wanted):
                             if text in proved:  # else it is given beforehand
                                 low, _, high, is_sure, _ = proved[text]
@@ -159,7 +163,6 @@ class Adaptive(Wrapper):
                 excess = errors / allowed
                 worst, seconds = np.max(excess), budget.elapsed
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
-                reached = solved.having({"estimates": figures, "meshes": meshes})
                 budget.kept = seconds - before  # its audit takes about as long
                 said = ", ".join(
                     [f"{nodes} nodes", *(f"{text} {estimate_in_words(figures[text])}" for text in wanted)]

@@ -12,7 +12,7 @@ from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.contact_pressure import ContactStress, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import angles
-from rmesh_nlp.problem import Place
+from rmesh_nlp.problem.coefficients import as_function, evaluated
 from rmesh_nlp.problem.data import ContactSet
 
 CLEAR = 0.01
@@ -66,8 +66,7 @@ def contact_results(
         return results
     least = ROUNDING * max(system.force_scale, np.max(state.normal_force))
     for part in space.contact_sets:
-        boundary = part.obstacle.boundary
-        name = boundary.value if isinstance(boundary, Place) else str(boundary)
+        name = str(part.obstacle.boundary)
         if name in results:
             name = f"{name} {part.number + 1}"
         pressure, friction = recovered(space, nodes, part, state.normal_force, state.tangential_force)
@@ -106,29 +105,33 @@ def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) 
     By its boundary.
     """
     said = dict[str, str]()
-    for part in space.contact_sets if space.problem.components == 2 else ():
+    for part in space.contact_sets:
         (on,) = recovered(space, nodes, part, state.normal_force)
         pressure = on.values[: space.n_vertices]
         top = int(np.argmax(pressure))
-        beside = on.cells[::-1][on.cells == top]
-        around = nodes[0, [top, *beside]]
-        low, high = np.min(around) - ROUNDING * np.ptp(around), np.max(around) + ROUNDING * np.ptp(around)
-        is_kink = any(low <= kink <= high for kink in part.obstacle.kinks)
+        beside = np.setdiff1d(on.cells[:, np.any(on.cells == top, axis=0)], top)
+        # from each of them to as far beyond the peak: most of all bending is at a kink
+        at = nodes[:, [[top]]]
+        lines = at + np.linspace(-1, 1, 130)[:, None] * (nodes[:, None, beside] - at)
+        (gaps,) = evaluated(as_function(part.obstacle.offset), lines)
+        bends = np.diff(gaps, 2, axis=0)
+        is_kink = np.any(bends > 0.4 * np.sum(np.abs(bends), axis=0) + ROUNDING * np.ptp(gaps))
         is_end = on.ends[top] and not on.even_ends[top] and not _is_sharp(space, part, nodes, top)
         # between two nodes a kink lifts both
         least = np.min if is_kink else np.max
-        if not pressure[top] > PEAKED * least(pressure[beside], initial=pressure[top] * is_kink):
-            continue
-        if is_kink or is_end:
+        is_peak = pressure[top] > PEAKED * least(pressure[beside], initial=pressure[top] * is_kink)
+        if is_peak and (is_kink or is_end):
             place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
             name = str(part.obstacle.boundary)
-            text = f"the largest pressure is at {place} {name!r}, where it may have no limit: it can grow "
-            said[name] = text + "with each refinement"
+            said[name] = (
+                f"the largest pressure is at {place} {name!r}, where it may have no limit: it can grow "
+                "with each refinement"
+            )
     return said
 
 
 def _is_sharp(space: DisplacementSpace, part: ContactSet, nodes: Array, vertex: int) -> bool:
-    """Whether a vertex is a corner of the body of up to 90 degrees without friction.
+    """Whether a vertex is a corner of the body of up to 90 degrees without friction, or of a membrane.
 
     Mirrored in the foundation it is one of up to 180 degrees without load, at which no stress is singular.
     """

@@ -344,8 +344,8 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     def estimate(text: str) -> Estimate:
         computed, w, load, part, weights = _quantity(text, on)
         if text == ENERGY:
-            above = gained if problem.has_energy else 0.0  # then no energy is least
-            return Estimate(computed - above, gained, computed, defect**2, half=gained / 2)
+            value = computed - gained * problem.has_energy  # else no energy is least
+            return Estimate(value, gained, computed, defect**2, half=gained / 2)
         if load is None and part is None:
             return Estimate(computed, np.nan, computed, defect**2, touching=on.ends(True).shape[1])
         push, gap = np.zeros(system.load.size), np.zeros(system.offset.size)
@@ -363,18 +363,18 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         own = of_displacement(fields.element, fields.law, skeleton, w)
         other -= own
         pressing = system.normals @ (system.stiffness @ traces[free] - push)
-        closing = float(pressing @ np.where(solved.active.touching, system.offset, 0.0))  # computed gaps
+        closing = pressing @ np.where(solved.active.touching, system.offset, 0.0)  # computed gaps
         beyond = 0.0
         if part is None:
             products = fields.energy(correction + other) - fields.energy(correction - other)
-            value = computed + float(np.sum(products)) / 2 + closing
+            value = computed + np.sum(products) / 2 + closing
         else:
             slip = system.tangents @ assembled.of_displacement(along)[free]
             follows = solved.active.sliding * (system.bound(solved.normal_force) - system.slip_bound)
-            value = float(solved.normal_force @ gaps(along) - follows @ slip)
-            beyond = -float(solved.normal_force @ gap) - value
+            value = solved.normal_force @ gaps(along) - follows @ slip
+            beyond = -solved.normal_force @ gap - value
             if slip.size:
-                value += float((solved.tangential_force + follows) @ slip) + on.work_of_bounds(w)
+                value += (solved.tangential_force + follows) @ slip + on.work_of_bounds(w)
             value += BETWEEN * beyond
         local = defect * np.sqrt(fields.energy(other))
         # by the best s of :func:`rmesh_nlp.certificate.forces.slope_bounds`
@@ -406,10 +406,9 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         products = defect * (defect if coarse.dual is on.u else norms(fine.dual, coarse.dual))
         local = np.reshape(products, (-1, problem.mesh.nelements)).sum(axis=0)
         error = times * abs(fine.value - coarse.value)
-        if coarse.dual is on.u and text != ENERGY:  # of two values it is not known how they converge
-            return Estimate(fine.value, np.nan, coarse.value, local, touching=on.ends(True).shape[1])
-        if coarse.load is not None or coarse.part is not None:  # what cancels here need not on finer meshes
-            error = max(error, float(np.sum(local)))
-        return Estimate(fine.value, error, coarse.value, local)
+        if text != ENERGY:  # what cancels here need not on finer meshes; else the rate is not known
+            error = np.nan if coarse.dual is on.u else max(error, np.sum(local))
+        count = on.ends(True).shape[1] * np.isnan(error)
+        return Estimate(fine.value, error, coarse.value, local, touching=count)
 
     return [estimate(text) for text in texts]

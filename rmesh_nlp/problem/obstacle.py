@@ -43,6 +43,9 @@ class Place(Enum):
 
     INTERIOR = "interior"
 
+    def __str__(self) -> str:
+        return self.value
+
 
 @dataclass(frozen=True)
 class Obstacle:
@@ -328,7 +331,7 @@ class Obstacle:
     @property
     def place(self) -> str:
         """The name of its boundary or interface, or both names of a pair."""
-        name = self.boundary.value if isinstance(self.boundary, Place) else self.boundary
+        name = str(self.boundary)
         return name if self.other in ("", name, name + BEHIND) else f"{name} and {self.other}"
 
     def in_words(self) -> str:

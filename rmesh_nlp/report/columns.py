@@ -174,7 +174,7 @@ def _with(entry: str) -> Callable[[Case], bool]:
 OF_BOUNDARIES = "Results of each contact boundary on the relocated mesh."
 CONTACT = (
     Column("boundary", "boundary"),
-    *(Column(name.replace("_", "|"), name, ".4g") for name in RESULTS),
+    *(Column(name.replace("_", "|").replace("length", "length or area"), name, ".4g") for name in RESULTS),
 )
 PRINTED = (
     Kind(

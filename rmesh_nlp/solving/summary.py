@@ -11,6 +11,7 @@ from rmesh_nlp.display import Rows, bounds_in_words, figure, within_in_words
 from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
+from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.units import NO_UNITS, bracketed
 from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.relocated import Relocated
@@ -155,7 +156,8 @@ def contact_rows(solution: Relocated) -> Rows:
                 if (of := estimates.pop(f"{QUANTITIES.get(name, name)}({boundary})", None)) is not None:
                     said = estimate_in_words(of) + f"; {each}" * differ
                 unit = bracketed(named.get(name, units.line_force))
-                rows.append((f"{place}: {name.replace('_', ' ')}{unit}", said))
+                extent = "area" if boundary == str(Place.INTERIOR) else "length"
+                rows.append((f"{place}: {name.replace('_', ' ').replace('length', extent)}{unit}", said))
         if "force_x" in results:
             least = ROUNDING * results["normal_force"]
             vector = (results[name] for name in ("force_x", "force_y", "moment"))

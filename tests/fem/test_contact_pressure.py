@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces, recovered
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import PiecewiseLinear
+from rmesh_nlp.solving.summary import summary
 from rmesh_nlp.solving.verification import verify_gradient
 from support.orders import ORDERS
 
@@ -303,3 +305,21 @@ def test_peak_beside_a_kink_between_nodes_may_have_no_limit() -> None:
         solver = ContactSolver(problem)
         told.append(list(unlimited_peaks(solver.discretisation.space, problem.mesh.p, solver.given)))
     assert told == [["bottom"], []]
+
+
+@pytest.mark.parametrize("n", [8, 9])
+def test_peak_on_the_ridge_of_an_obstacle_may_have_no_limit(n: int) -> None:
+    """At nodes or between them; not on a parabola, nor beside the valley of two or a smooth end of one."""
+    told = []
+    for height in (
+        lambda x, y: 0.3 - ca.fabs(x) - 0.5 * y**2,
+        lambda x, y: 0.3 - x**2 - y**2,
+        lambda x, y: ca.fmax(0.3 - (x - 0.3) ** 2, 0.3 - (x + 0.3) ** 2) - y**2,
+        lambda x, y: 0.3 - 0.5 * x**2 - ca.fmax(x, 0) ** 2 - y**2,
+    ):
+        mesh, obstacle = rm.shapes.rectangle(n, n, x=(-1, 1), y=(-1, 1)), rm.Obstacle.interior(height)
+        problem = rm.ContactProblem(mesh, rm.Laplace(), ("left", "right", "top", "bottom"), obstacle)
+        solution = rm.solve(problem, "fixed", audit=False)
+        told.append(any("no limit" in text for text in solution.warnings))
+        assert any(label == "interior: contact area" for label, _ in summary(solution))
+    assert told == [True, False, False, False]
