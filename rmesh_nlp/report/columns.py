@@ -65,10 +65,11 @@ OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: s
 def of_boundaries(records: Records, least: int = 2) -> list[Record]:
     """A row for each contact boundary where there are ``least`` or more, with its results at the end."""
     return [
-        {**record, **results, "boundary": " and ".join(pairs.get(name, [name])), "contact": None}
+        {**record, **results, "boundary": " and ".join(pairs.get(name, [label])), "contact": None}
         for record in records
         for contact, pairs in [(record.get("contact") or {}, record.get("pairs") or {})]
         for name, results in contact.items()
+        for label in [name + " (length: an area)" * (name == "interior")]
         if len(contact) >= least
     ]
 
@@ -174,7 +175,7 @@ def _with(entry: str) -> Callable[[Case], bool]:
 OF_BOUNDARIES = "Results of each contact boundary on the relocated mesh."
 CONTACT = (
     Column("boundary", "boundary"),
-    *(Column(name.replace("_", "|").replace("length", "length or area"), name, ".4g") for name in RESULTS),
+    *(Column(name.replace("_", "|"), name, ".4g") for name in RESULTS),
 )
 PRINTED = (
     Kind(

@@ -11,7 +11,6 @@ from rmesh_nlp.display import Rows, bounds_in_words, figure, within_in_words
 from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
-from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.units import NO_UNITS, bracketed
 from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.relocated import Relocated
@@ -156,7 +155,7 @@ def contact_rows(solution: Relocated) -> Rows:
                 if (of := estimates.pop(f"{QUANTITIES.get(name, name)}({boundary})", None)) is not None:
                     said = estimate_in_words(of) + f"; {each}" * differ
                 unit = bracketed(named.get(name, units.line_force))
-                extent = "area" if boundary == str(Place.INTERIOR) else "length"
+                extent = "area" if boundary == "interior" else "length"
                 rows.append((f"{place}: {name.replace('_', ' ').replace('length', extent)}{unit}", said))
         if "force_x" in results:
             least = ROUNDING * results["normal_force"]
