@@ -115,7 +115,7 @@ def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) 
         lines = at + np.linspace(-1, 1, 130)[:, None] * (nodes[:, None, beside] - at)
         (gaps,) = evaluated(as_function(part.obstacle.offset), lines)
         bends = np.diff(gaps, 2, axis=0)
-        is_kink = np.any(bends > 0.4 * np.sum(np.abs(bends), axis=0) + ROUNDING * np.ptp(gaps))
+        is_kink = np.any(bends > 0.4 * np.sum(np.abs(bends), axis=0) + ROUNDING * np.ptp(gaps, axis=0))
         is_end = on.ends[top] and not on.even_ends[top] and not _is_sharp(space, part, nodes, top)
         # between two nodes a kink lifts both
         least = np.min if is_kink else np.max
