@@ -166,7 +166,8 @@ def _of_displacement(axes: sp.csr_array, skeleton: Skeleton, conditions: Conditi
 def _turn(conditions: Conditions, blocks: Array, kept: int) -> sp.csr_array:
     """From Cartesian components to the axes of contact edges by ``blocks``; the last ``kept`` traces stay."""
     n, k, edges = conditions.given.shape
-    data = np.tile(np.eye(n * k), (edges, 1, 1))
+    count, size = edges - -kept // (n * k), n * k * edges + kept
+    data = np.tile(np.eye(n * k), (count, 1, 1))
     data[conditions.contact] = blocks
     ends = np.arange(n * k).reshape(k, n)
     ends[:2] = ends[1::-1]
@@ -174,7 +175,6 @@ def _turn(conditions: Conditions, blocks: Array, kept: int) -> sp.csr_array:
         own = blocks[part.place][: part.others.size]
         turned_round = own[:, ends.ravel()[:, None], ends.ravel()]
         data[part.others] = np.where(part.reversed[:, None, None], turned_round, own)
-    of_edges = sp.bsr_array((data, np.arange(edges), np.arange(edges + 1)))
-    turn = sp.csr_array(sp.block_diag([of_edges, sp.eye_array(kept)], "csr"))
+    turn = sp.csr_array(sp.bsr_array((data, np.arange(count), np.arange(count + 1))))[:size, :size]
     turn.eliminate_zeros()
     return turn

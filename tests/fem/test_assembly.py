@@ -14,7 +14,9 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.contact_terms import friction, gaps
 from rmesh_nlp.fem.fields import (
     NONE,
     ElementGroup,
@@ -53,6 +55,15 @@ def local(field: Field, x: ca.MX) -> ca.MX:
 
 def wave(x, y):
     return ca.sin(2 * x + y) + ca.if_else(x < y, x * y, y**3)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_meshes_of_a_problem_share_functions_of_contact(order: int) -> None:
+    """They are differentiated once, not on each mesh."""
+    problem = replace(sloped_block(), order=order)
+    coarse, fine = (discretise(each).fields() for each in (problem, rm.refined(problem)))
+    for groups in (gaps, friction):
+        assert {id(one.function) for one in groups(coarse)} == {id(one.function) for one in groups(fine)}
 
 
 @pytest.mark.slow

@@ -40,9 +40,10 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.coefficients import where
 from rmesh_nlp.problem.conditions import symmetric
-from rmesh_nlp.problem.contact_problem import locally_refined, refined
+from rmesh_nlp.problem.contact_problem import bisected, locally_refined, refined
 from rmesh_nlp.problem.motion import BY_BARRIER
 from support.contact_geometry import LAW, block_in_a_corner, punch_held_by_symmetry
+from support.curved import HOLE, plate
 from support.formulations import fixed
 
 SCALAR = {
@@ -190,6 +191,18 @@ def test_refined_meshes_keep_boundaries_and_move_limits() -> None:
     for one in (whole, part):
         assert boundary_lengths(one) == pytest.approx(boundary_lengths(problem))
         assert signed_areas(one.mesh.p, one.triangles).sum() == pytest.approx(4.0)
+
+
+def test_a_mesh_bisected_twice_is_that_of_the_problem_refined_twice() -> None:
+    problem = plate({"hole": HOLE})
+    first = problem.mesh.f2t[0, problem.mesh.boundaries["hole"]]
+    second = np.arange(first.size)
+    mesh = bisected(problem, bisected(problem, problem.mesh, first), second)
+    twice = locally_refined(locally_refined(problem, first), second).mesh
+    np.testing.assert_array_equal(mesh.t, twice.t)
+    np.testing.assert_allclose(mesh.p, twice.p, atol=1e-12)
+    on_hole = np.unique(mesh.facets[:, mesh.boundaries["hole"]])
+    np.testing.assert_allclose(np.linalg.norm(mesh.p[:, on_hole] - 5, axis=0), 2.5)
 
 
 def test_boundary_on_an_axis_of_symmetry_stays_on_it() -> None:
