@@ -143,8 +143,8 @@ def _integral(
         split &= depth < DEPTH or (np.count_nonzero(split) <= CHUNK and depth < DEEPEST)
         place = np.einsum("dmv,vmk->dmk", vertices[:, owner], _barycentric(low, width, corners))
         for coefficient in sizes:
-            is_seen, most = resolved(coefficient, place, higher, sizes[coefficient], width**directions)
-            sizes[coefficient] = most
+            size, share = sizes[coefficient], width**directions
+            is_seen, sizes[coefficient] = resolved(coefficient, place, higher, size, share)
             if depth == 0 or (np.count_nonzero(~is_seen) <= CHUNK and depth < DEEPEST):
                 split |= ~is_seen
             is_certain &= bool(np.all(is_seen | split))

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from scipy.special import comb
 
-from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, Mask, magnitude
+from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, Mask
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
@@ -31,6 +31,9 @@ OnPoints = tuple[Callable[[Array], Array], int | None]
 SAMPLES = 32
 """Pieces of an edge between whose ends the sign of a switch that is no polynomial is compared. Triangles are
 refined around the zeros of such a switch until their edges are such pieces."""
+
+EXACT = 64 * np.finfo(float).eps
+"""Values of a switch up to this part of its largest one on a part are zero, and so small pieces are none."""
 
 INSIDE = np.hstack([np.eye(3), [[1 / 2, 0, 1 / 2], [1 / 2, 1 / 2, 0], [0, 1 / 2, 1 / 2]]])
 INSIDE = PROVED + (1 - 3 * PROVED) * INSIDE
@@ -100,24 +103,24 @@ def _zeros_along(
     inner, pieces = max(degree or 1, 1), 1 if degree is not None else SAMPLES
     rows, width = np.repeat(owner, pieces), np.repeat(end - begin, pieces) / pieces
     low = np.repeat(begin, pieces) + width * np.tile(np.arange(pieces), begin.size)
-    inside = 0.0 if degree is None else PROVED  # at the ends others may jump
+    inside = 0.0 if degree is None else EXACT  # at the ends others may jump
     share, to_bernstein = np.clip(np.linspace(0, 1, inner + 1), inside, 1 - inside), _to_bernstein(inner)
-    at, begin, end, scale, is_whole = rows[:0], low[:0], low[:0], 0.0, True
-    while rows.size and np.max(width) > ROUNDING:
+    at, begin, end, most, scale = rows[:0], low[:0], low[:0], SAMPLES * begin.size, 0 * low
+    while 0 < rows.size <= most and np.max(width) > ROUNDING:
         values = value(rows, low[:, None] + np.outer(width, share))
-        scale = max(scale, magnitude(values))
-        coefficients, tiny = values @ to_bernstein.T, 2 * PROVED * scale
-        vanishes = ~np.any(np.abs(coefficients) > tiny, axis=1)
-        is_certain &= is_whole or not np.any(vanishes)
+        coefficients = values @ to_bernstein.T
+        scale = np.maximum(scale, np.max(np.abs(coefficients), axis=1))
+        vanishes = np.all(np.abs(coefficients) < PROVED * scale[:, None], axis=1)
+        is_certain &= not np.any(vanishes)
         none, single = _one_sign(coefficients) | vanishes, _one_sign(np.diff(coefficients, axis=1))
         # a piece that begins at a zero is a part of its own
-        starts, is_whole = (np.abs(values[:, 0]) <= tiny) & (low > 0), False
+        starts = (np.abs(values[:, 0]) <= PROVED * scale) & (low > 0)
         for chosen, first, last in ((~none & single, share[0], share[-1]), (starts, 0, 0)):
             at, begin = np.append(at, rows[chosen]), np.append(begin, (low + first * width)[chosen])
             end = np.append(end, (low + last * width)[chosen])
         is_open = ~(none | single)
         width = np.tile(width[is_open] / 2, 2)
-        rows, low = np.tile(rows[is_open], 2), np.tile(low[is_open], 2)
+        rows, low, scale = np.tile(rows[is_open], 2), np.tile(low[is_open], 2), np.tile(scale[is_open], 2)
         low[rows.size // 2 :] += width[rows.size // 2 :]
     zeros = _bisected(partial(value, at), begin, end) if at.size else begin
     return at, zeros, is_certain and rows.size == 0
@@ -158,22 +161,22 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
             """Bernstein coefficients (6, parts) by values inside of parts: on their sides others may jump."""
             return TO_QUADRATIC @ values(owner, np.einsum("ipm,pk->imk", corners, INSIDE)).T
 
-        tiny = PROVED * magnitude(quadratic(owner, corners))
         bends = body.is_curved[elements] | (degree is None or degree > 1)
         width = 1.0
         while np.any(bends) and width > 1 / SAMPLES:
             owner, corners = refined(
-                owner, corners, bends[owner] & _have_two_signs(quadratic(owner, corners), tiny)
+                owner, corners, bends[owner] & _have_two_signs(quadratic(owner, corners))
             )
             width = width / 2
         last = quadratic(owner, corners)
         is_certain &= degree is not None and degree <= 2
-        is_certain &= not np.any(bends[owner] & _have_two_signs(last, -tiny))  # zeros within rounding too
-        owner, corners = _cut(owner, corners, last[:3], tiny, None if degree == 1 else values)
+        is_certain &= not np.any(bends[owner] & _have_two_signs(last, -PROVED))  # zeros within rounding too
+        owner, corners = _cut(owner, corners, last[:3], None if degree == 1 else values)
     return Parts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
 
 
-def _have_two_signs(values: Array, tiny: float) -> Mask:
+def _have_two_signs(values: Array, least: float = EXACT) -> Mask:
+    tiny = least * np.max(np.abs(values), axis=0)
     return (np.min(values, axis=0) < -tiny) & (np.max(values, axis=0) > tiny)
 
 
@@ -189,13 +192,13 @@ def refined(owner: Index, corners: Array, chosen: Mask) -> tuple[Index, Array]:
 
 
 def _cut(
-    owner: Index, corners: Array, values: Array, tiny: float, at: Callable[[Index, Array], Array] | None
+    owner: Index, corners: Array, values: Array, at: Callable[[Index, Array], Array] | None
 ) -> tuple[Index, Array]:
     """Parts with values of two signs at their corners, along the line between the zeros on their sides.
 
     ``at`` has the values of owners at places, just inside of parts; without it they are linear.
     """
-    chosen = _have_two_signs(values, tiny)
+    chosen, tiny = _have_two_signs(values), EXACT * np.max(np.abs(values), axis=0)
     values, part = np.where(np.abs(values) <= tiny, 0.0, values)[:, chosen], corners[:, :, chosen]
     above = values > 0
     # the corner that is alone on its side; zeros are with those below
@@ -215,4 +218,4 @@ def _cut(
     owner = np.concatenate([owner[~chosen], *[owner[chosen]] * 3])
     corners = np.concatenate([corners[:, :, ~chosen], *three], axis=2)
     area = np.abs(np.linalg.det(corners.transpose(2, 0, 1)))
-    return owner[area > PROVED], corners[:, :, area > PROVED]
+    return owner[area > EXACT], corners[:, :, area > EXACT]

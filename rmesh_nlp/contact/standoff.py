@@ -178,10 +178,14 @@ def _between(distance: Array) -> Array:
     """(m, k - 1) how far a gap may lie below its chords: d, if below by ``4 d t (1 - t)`` along these.
 
     A kink is below by ``s t (1 - t)``, s the jump of the slope times the chord's length. The second
-    differences beside it add up to ``s / FINE``, and as well where the slope changes evenly.
+    differences beside it add up to ``s / FINE``, and as well where the slope changes evenly. A wave may
+    cancel them, but not what they differ by from their neighbours, of which one is that of the wave alone.
     """
-    bend = np.pad(np.abs(np.diff(distance, 2)), ((0, 0), (1, 1)))
-    return FINE / 4 * np.max((bend[:, 1:] + bend[:, :-1]).reshape(len(bend), -1, FINE), axis=2)
+    bend = np.pad(np.diff(distance, 2), ((0, 0), (2, 2)))
+    kink, wave = np.abs(np.diff(bend)), np.abs(bend)
+    both = kink[:, :-2] + kink[:, 2:] + 2 * np.minimum(wave[:, :-3], wave[:, 3:])
+    both = np.maximum(both, wave[:, 1:-2] + wave[:, 2:-1])
+    return FINE / 4 * np.max(both.reshape(len(bend), -1, FINE), axis=2)
 
 
 def _about(distance: Array, rows: Index) -> Array:

@@ -19,9 +19,10 @@ from rmesh_nlp.problem.coefficients import OPEN, Coefficient, as_function, evalu
 
 COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
 DIFFERENCE = (*COMPARED, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
-ITSELF = (ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)  # the first argument
+FIRST = (ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)  # the first argument
+EACH = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)  # every argument
 ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # at every whole number
-LOGICAL = (*COMPARED, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+LOGICAL = (*COMPARED, *EACH)
 
 
 HIGH = 8
@@ -119,10 +120,7 @@ def affine_switches(coefficients: Iterable[Coefficient]) -> list[ca.Function]:
 
 def _distinct(functions: Iterable[ca.Function]) -> tuple[ca.Function, ...]:
     """Each once: printed expressions have six digits, by which jumps at 1.3 and 1.3000001 are the same."""
-    each = dict[str, ca.Function]()
-    for function in functions:
-        each.setdefault(function.serialize(), function)
-    return tuple(each.values())
+    return tuple({function.serialize(): function for function in functions}.values())
 
 
 def _switches_of(graph: ca.Function) -> tuple[ca.Function, ...]:
@@ -130,14 +128,16 @@ def _switches_of(graph: ca.Function) -> tuple[ca.Function, ...]:
     each, expressions = [], graph.instructions_sx()
     for k in range(graph.n_instructions()):
         operation, expression = graph.instruction_id(k), expressions[k]
+        found = [expression.dep(i) for i in range(expression.n_dep())]
         if operation in DIFFERENCE:
-            switch = expression.dep(0) - expression.dep(1)
-        elif operation in ITSELF and expression.dep(0).op() not in LOGICAL:
-            switch = expression.dep(0)
+            found = [found[0] - found[1]]
         elif operation in ROUNDED:
-            switch = ca.sin(np.pi * expression.dep(0))
-        else:
+            found = [ca.sin(np.pi * found[0])]
+        elif operation in FIRST:
+            del found[1:]
+        elif operation not in EACH:
             continue
-        if not switch.is_constant():
-            each.append(ca.Function("switch", graph.sx_in(), [ca.densify(switch)], OPEN))
+        for switch in found:
+            if switch.op() not in LOGICAL and not switch.is_constant():
+                each.append(ca.Function("switch", graph.sx_in(), [ca.densify(switch)], OPEN))
     return _distinct(each)

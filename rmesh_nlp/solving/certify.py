@@ -178,7 +178,7 @@ def _distance(u: Array, norm: float, continuous: Admissible) -> float:
 
 def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     """The bracket with the energy of an admissible displacement as its upper bound."""
-    if continuous.status is not Status.CONVERGED:
+    if continuous.status is not Status.CONVERGED or not continuous.continuous.is_open:
         return bracket
     faults = tuple(fault for fault in bracket.upper_faults if fault in (BENT, UNKNOWN))
     return replace(bracket, upper=continuous.energy + continuous.doubt, upper_faults=faults)

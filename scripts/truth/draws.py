@@ -234,7 +234,8 @@ def hidden(number: int) -> Data:
     places: list[float] = []
 
     def disguised(template: str, plain: str, disguises: tuple[str, ...]) -> Hidden:
-        places.append(2 * float(rng.integers(nx) + rng.choice([1, 2, 3, 32, 61, 62, 63]) / 64) / nx)
+        # coefficients that are undefined there may not be looked at in the very place
+        places.append(2 * float(rng.integers(nx) + rng.choice([1, 2, 3, 32, 61, 62, 63]) / 64) / nx + 1e-7)
         disguise = str(rng.choice(disguises))
         return Hidden.of(template, plain.format(places[-1]), disguise.format(places[-1]))
 

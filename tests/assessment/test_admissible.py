@@ -349,6 +349,21 @@ def test_between_points_a_parabola_is_lower_by_its_bend() -> None:
     assert np.min(cells.gaps(u) + cells.dips(u)) > 1e-5
 
 
+def test_a_wave_that_cancels_a_kink_hides_nothing() -> None:
+    """Of gaps that are 0 at the kink, between two slopes; found by a search of 3,000 random ones."""
+    at, kink, k = 8.68690879 / 512, 0.13354679, 17.55682798
+
+    def height(s, slope):
+        wave = np.sin(k * s + at) - np.sin(k * at + at) - k * np.cos(k * at + at) * (s - at)
+        return 1.36721479 * wave - kink * np.abs(s - at) - slope * (s - at)
+
+    for slope in kink * np.linspace(-1, 1, 21):
+        cells = edge(partial(height, slope=slope))
+        u = np.full((2, 4), -1.0)
+        near = np.argmin(np.abs(cells.points[0, 0] / 2 - at))
+        assert np.min(cells.gaps(u)[0, near - 2 : near + 3]) <= 1e-12
+
+
 def test_points_share_friction_among_the_nodes_of_an_edge_as_the_integral_does() -> None:
     """So that what sticks keeps the bound of its node."""
     cells = edge(lambda s: 0 * s, order=2)

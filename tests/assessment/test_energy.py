@@ -138,6 +138,10 @@ def disc(x, y):
             2e-3,
             False,
         ),
+        # what is zero is a distance: a switch may be large elsewhere
+        (lambda x, y: where((x - 1.99) * where(x < 1, 1e12, 1) > 0, 1.0, 0.0), 0.01, 1e-9, True),
+        (lambda x, y: where(ca.fabs(x - 1.31) < 1e-12, 1e12, 0.0), 2.0, 1e-3, True),
+        (lambda x, y: ca.logic_not(ca.exp(1e9 * (x - 1.99))), 1.99, 1e-4, False),
         (lambda x, y: x * x * y, 8 / 6, 1e-12, True),
     ],
 )
@@ -166,6 +170,7 @@ def test_triangles_are_split_along_jumps_and_kinks(
             True,
         ),
         (lambda x, y: 1 - ca.atan2(1e-30, x - 1.99) / np.pi, 0.01, True),
+        (lambda x, y: where((x - 1.99) * where(x < 1, 1e12, 1) > 0, 1.0, 0.0), 0.01, True),
         # zeros whose first six digits are the same
         (lambda x, y: where(x > 1.3, 100.0, 0.0) - where(x > 1.300004, 100.0, 0.0), 4e-4, True),
     ],

@@ -22,7 +22,7 @@ from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.figures import block_figures
 from rmesh_nlp.report.style import Page
@@ -130,6 +130,15 @@ def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(monkeypatch: pyt
     state = membrane().assessment.final.continuous.state
     found = relocated(monkeypatch, crude, crude, state=state, energy=0.3, doubt=0.2)
     assert (found.upper, found.guaranteed_upper) == (0.5, True)
+
+
+@pytest.mark.parametrize("crest", [0.2, 1.2])
+def test_a_foundation_that_rises_through_a_held_edge_leaves_no_upper_bound(crest: float) -> None:
+    mesh = rectangle(2, 1, x=(0, 2)).with_boundaries({"part": lambda x: (x[1] == 0) & (x[0] < 1)})
+    foundation = Obstacle.graph("bottom", lambda x, y: -1 + crest * ca.fmax(0, 1 - 9 * abs(x - 0.4)))
+    law = PlaneStrain.from_young(100.0, 0.3, (0.0, -1.0))
+    found = certify(fixed.solve(ContactProblem(mesh, law, (Dirichlet("part", (0.0, 0.0)),), foundation)))
+    assert (found.guaranteed_lower, found.guaranteed_upper) == (True, crest < 1)
 
 
 def test_bounds_that_contradict_each_other_are_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:

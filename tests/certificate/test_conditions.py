@@ -102,10 +102,11 @@ def test_a_friction_bound_is_not_exceeded_where_it_is_low_between_samples() -> N
         # between the points at which they are looked at
         {"obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.1 - ca.exp(-1e10 * (x - 0.703) ** 2))},
         {"obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: ca.fmin(0.1, 1e5 * ca.fabs(x - 0.703)))},
+        {"obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.1 * (ca.fabs(x - 0.703) > 1e-12))},
         {"obstacle": Obstacle("bottom", (0.0, 1.0), 0.1, lambda x, y: 1.1 + ca.atan2(-1e-30, x - 0.703) / 3)},
         {"dirichlet": (Dirichlet("left", (0.0, lambda x, y: ca.exp(-1e10 * (y - 0.703) ** 2))),)},
     ],
-    ids=["gap", "friction", "support", "traction", "needle", "ridge", "cut", "given needle"],
+    ids=["gap", "friction", "support", "traction", "needle", "ridge", "spike", "cut", "given needle"],
 )
 def test_where_one_coefficient_may_jump_at_an_unknown_place_nothing_is_certain(changes) -> None:
     assert conditions_of(plate(), on(plate())).is_certain
