@@ -340,6 +340,22 @@ def test_a_foundation_can_be_raised_up_to_what_is_held_at_nodes_and_between_them
                 assert found == (by < room)
 
 
+@pytest.mark.parametrize(("held", "top", "count"), [(SIDES, 0.1, 1), (SIDES, -0.1, 0), (SIDES[:1], 0.1, 0)])
+def test_out_of_reach_are_triangles_that_are_held_at_all_nodes(held: tuple, top: float, count: int) -> None:
+    """A hill about a triangle at a corner, whose nodes are given, and one with the node in the middle."""
+    hill = Obstacle.interior(lambda x, y: top - 3 * ((x - 0.85) ** 2 + (y - 0.15) ** 2))
+    (cells,) = cells_on(ContactProblem(rectangle(2, 2, diagonal="rising"), Laplace(0.0), held, hill))
+    assert cells.unreachable(np.zeros((1, 9))).size == count
+
+
+def test_gaps_below_a_tool_are_raised_by_the_body_alone() -> None:
+    tool = Obstacle("top", (0.0, -1.0), 0.0, force=(0.0, -1.0))
+    mesh = rectangle(2, 1)
+    on = Continuous(ContactProblem(mesh, LAW, ("bottom",), tool))
+    moved = on.field.values(on._raising @ np.ones(on.space.contact_nodes.size)) - on.given
+    assert moved[1].tolist() == [*np.where(mesh.p[1] == 1, -1.0, 0.0), 0.0]
+
+
 def test_between_points_a_parabola_is_lower_by_its_bend() -> None:
     """Of a gap (s - r)^2 whose least value lies between two points nothing below zero is overlooked."""
     cells, at = edge(lambda s: 0 * s, order=2), RIDGE

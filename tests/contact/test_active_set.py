@@ -200,6 +200,10 @@ def test_of_nodes_that_leave_the_one_that_presses_most_holds_the_body() -> None:
         state = replace(string_of_three.equilibrium(before), normal_force=np.array(forces))
         kept = holding(string_of_three, before, state, none).touching
         assert kept.tolist() == [force == max(forces) for force in forces]
+    # a body that turns as well: of two nodes at one place the second holds nothing
+    turning = replace(string_of_three, rigid=np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 2.0]]))
+    state = replace(state, normal_force=np.array([3.0, 2.0, 1.0]))
+    assert holding(turning, before, state, none).touching.tolist() == [True, False, True]
 
 
 def test_a_contact_solve_that_fails_has_no_forces_to_show(monkeypatch: pytest.MonkeyPatch) -> None:
