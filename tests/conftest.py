@@ -1,7 +1,5 @@
 """Shared fixtures. Small meshes only: large ones belong in the benchmark scripts."""
 
-from __future__ import annotations
-
 import gc
 import signal
 

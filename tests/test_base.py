@@ -1,7 +1,5 @@
 """What everything stands on: numbers and formulas of settings, tables for people, errors, units."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """What an installation offers, that imports go one way, and that the documents say what is true."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import inspect
 import re
@@ -68,9 +66,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-def test_links_of_the_pages_lead_somewhere_and_each_page_is_once_in_the_menu(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_links_of_the_pages_lead_somewhere_and_each_page_is_once_in_the_menu(monkeypatch):
     for page in (*PAGES, "CHANGELOG.md", "CONTRIBUTING.md"):
         for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)", prose(ROOT / page)):
             if "://" not in target:

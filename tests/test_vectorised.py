@@ -1,7 +1,5 @@
 """Element functions, and sums of their results, in numpy."""
 
-from __future__ import annotations
-
 import gc
 
 import casadi as ca

@@ -74,9 +74,7 @@ def test_records_of_a_folder_are_read(tmp_path: Path) -> None:
     assert rm.read_records(tmp_path) == [fixed_61()]
 
 
-def test_pictures_are_on_axes_of_ones_own_and_have_pressure_stress_and_both_meshes(
-    comparison: rm.Comparison,
-) -> None:
+def test_pictures_are_on_axes_of_ones_own_and_have_pressure_stress_and_both_meshes(comparison):
     for what in ("mesh", "displacement", "stress", "pressure"):
         axes = Figure().add_subplot()
         assert comparison["joint"].plot(what, axes) is axes

@@ -1,7 +1,5 @@
 """The continuous energy of admissible displacements: closed forms, no penetration, how far nodes keep off."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,45 +8,33 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.measures import residuals
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import FINE, LATTICES, SAMPLES, Cells, cells_of
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    Axisymmetric,
-    ContactProblem,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    Traction,
-)
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from support.orders import ORDERS
 from support.rules import coarsen
 from truth.draws import aimed
 
-LAW = PlaneStrain.from_young(1000.0, 0.3)
-BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
-WAVES = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x))
-PEAK = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.01 * np.exp(-(((x - 0.8) / 0.01) ** 2)))
-FLAT = Obstacle.graph("bottom", -0.02)
+LAW = rm.PlaneStrain.from_young(1000.0, 0.3)
+BUMP = rm.Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
+WAVES = rm.Obstacle.graph("bottom", lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x))
+PEAK = rm.Obstacle.graph("bottom", lambda x, y: -0.02 + 0.01 * np.exp(-(((x - 0.8) / 0.01) ** 2)))
+FLAT = rm.Obstacle.graph("bottom", -0.02)
 SIDES = ("left", "right", "top", "bottom")
 
 
-def block(obstacle: Obstacle | tuple[Obstacle, ...], n: int = 3) -> ContactProblem:
-    return ContactProblem(
-        rectangle(4 * n, n, x=(0, 2)), LAW, ("left",), obstacle, tractions=(Traction("top", (6.0, -10.0)),)
+def block(obstacle: rm.Obstacle | tuple[rm.Obstacle, ...], n: int = 3) -> rm.ContactProblem:
+    return rm.ContactProblem(
+        rectangle(4 * n, n, x=(0, 2)), LAW, ("left",), obstacle, tractions=(rm.Traction("top", (6.0, -10.0)),)
     )
 
 
@@ -66,7 +52,7 @@ def deepest(found: Admissible) -> float:
 @pytest.mark.parametrize(("name", "n"), [("6.1", 4), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: object, order: int) -> None:
     """At order 2 it is less where contact ends within an edge, as it does on Examples 6.1 and 6.2."""
-    problem = replace(EXAMPLES[name](n=n), order=order)
+    problem = replace(rm.EXAMPLES[name](n=n), order=order)
     exact = ContactSolver(problem.with_rule(25)).solve(problem.mesh.p)
     found = admissible(problem, start=exact.active)
     assert 0 <= found.doubt < 1e-6
@@ -80,23 +66,23 @@ def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: 
 
 
 def test_what_jumps_along_a_line_leaves_no_doubt() -> None:
-    jump = Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.if_else(x > 1.9, 0.8, 0.2))
+    jump = rm.Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.if_else(x > 1.9, 0.8, 0.2))
     step = lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)  # noqa: E731
-    load = replace(block(jump), law=PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
+    load = replace(block(jump), law=rm.PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
     assert admissible(load).doubt < 1e-12
 
 
-def waves(phase: float) -> ContactProblem:
-    load = Traction("top", (lambda x, y: 1 + 3 * ca.sin(40 * x + phase),))
-    return ContactProblem(rectangle(12, 6, x=(0, 2)), Laplace(0.0), ("bottom",), tractions=load)
+def waves(phase: float) -> rm.ContactProblem:
+    load = rm.Traction("top", (lambda x, y: 1 + 3 * ca.sin(40 * x + phase),))
+    return rm.ContactProblem(rectangle(12, 6, x=(0, 2)), rm.Laplace(0.0), ("bottom",), tractions=load)
 
 
 def test_what_coarse_rules_miss_is_within_the_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of loads, of the strain energy of a ring that no load acts on, and of friction."""
-    held = Dirichlet("left", (0.01, None)), Dirichlet("bottom", (None, 0.0))
-    ring = ContactProblem(rectangle(2, 2, x=(0.1, 1.1)), Axisymmetric(1.2, 0.8), held)
-    rough = Obstacle.graph("bottom", 0.0, friction=lambda x, y: 1 + ca.sin(60 * x))
-    slid = ContactProblem(rectangle(4, 1), LAW, (Dirichlet("top", (0.1, -0.01)),), rough)
+    held = rm.Dirichlet("left", (0.01, None)), rm.Dirichlet("bottom", (None, 0.0))
+    ring = rm.ContactProblem(rectangle(2, 2, x=(0.1, 1.1)), rm.Axisymmetric(1.2, 0.8), held)
+    rough = rm.Obstacle.graph("bottom", 0.0, friction=lambda x, y: 1 + ca.sin(60 * x))
+    slid = rm.ContactProblem(rectangle(4, 1), LAW, (rm.Dirichlet("top", (0.1, -0.01)),), rough)
     problems = [ring, slid, *(waves(phase) for phase in (0.0, 1.5, 3.0, 4.5))]
     least = [admissible(problem).energy for problem in problems]
     coarsen(monkeypatch)
@@ -110,9 +96,9 @@ def test_doubts_of_loads_up_and_down_do_not_cancel(monkeypatch: pytest.MonkeyPat
 
     def doubt(left: float, right: float) -> float:
         wave = lambda x, y: ca.sin(48 * x) ** 2 * ca.if_else(x < np.pi / 4, left, right)  # noqa: E731
-        load = Traction("top", (wave,))
+        load = rm.Traction("top", (wave,))
         mesh = rectangle(12, 1, x=(0, np.pi / 2), y=(0, 0.2))
-        return admissible(ContactProblem(mesh, Laplace(0.0), ("bottom",), tractions=load)).doubt
+        return admissible(rm.ContactProblem(mesh, rm.Laplace(0.0), ("bottom",), tractions=load)).doubt
 
     assert doubt(1.0, 0.0) > 0.001
     assert doubt(1.0, -1.0) > 1.5 * doubt(1.0, 0.0)
@@ -120,7 +106,7 @@ def test_doubts_of_loads_up_and_down_do_not_cancel(monkeypatch: pytest.MonkeyPat
 
 def test_gaps_of_order_2_hold_between_the_nodes_and_no_more() -> None:
     """Where contact ends within an edge, coefficients that are not negative keep off farther than needed."""
-    problem = replace(block(Obstacle.graph("bottom", -0.02), n=1), order=2)
+    problem = replace(block(rm.Obstacle.graph("bottom", -0.02), n=1), order=2)
     by_coefficients, found = ContactSolver(problem).given, admissible(problem)
     assert 0 < np.sum(by_coefficients.active.touching) < by_coefficients.active.touching.size
     assert deepest(found) < 1e-10
@@ -132,21 +118,21 @@ def test_nodes_come_closer_at_order_2_where_the_gap_bends_differently_after_each
     kinks = (1.4339, 0.0087, 0.0295), (1.7111, 0.00704, 0.01407), (0.9298, 0.01925, 0.01485)
     for place, depth, slope in kinks:
         height = partial(lambda a, b, c, x, y: -b - c * ca.fabs(x - a), place, depth, slope)
-        here = Continuous(replace(block(Obstacle.graph("bottom", height), n=1), order=2))
+        here = Continuous(replace(block(rm.Obstacle.graph("bottom", height), n=1), order=2))
         found = here.solve()
         assert deepest(found) < 1e-10
         assert found.energy < solve(here.system(here.first_standoff())).energy - 1e-5
 
 
-ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))
+ABOVE = rm.Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     ("obstacles", "load"),
     [
-        (replace(PEAK, friction=2.0), Traction("top", (6.0, -10.0))),
-        ((WAVES, ABOVE), Traction("right", (-400.0, 100.0))),
+        (replace(PEAK, friction=2.0), rm.Traction("top", (6.0, -10.0))),
+        ((WAVES, ABOVE), rm.Traction("right", (-400.0, 100.0))),
     ],
     ids=["friction", "two foundations"],
 )
@@ -169,12 +155,12 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
-    "obstacle", [WAVES, PEAK, Obstacle.circle("bottom", (1.0, -0.52), 0.5)], ids=["waves", "peak", "disc"]
+    "obstacle", [WAVES, PEAK, rm.Obstacle.circle("bottom", (1.0, -0.52), 0.5)], ids=["waves", "peak", "disc"]
 )
-def test_nothing_passes_between_the_nodes(obstacle: Obstacle, order: int) -> None:
+def test_nothing_passes_between_the_nodes(obstacle: rm.Obstacle, order: int) -> None:
     problem = replace(block(obstacle), order=order)
     found = admissible(problem)
-    assert found.status is Status.CONVERGED
+    assert found.status is rm.Status.CONVERGED
     assert np.sum(found.state.active.touching) >= 1
     assert deepest(found) < 1e-10
     model = ContactSolver(problem)
@@ -191,7 +177,7 @@ def test_nothing_passes_between_the_nodes(obstacle: Obstacle, order: int) -> Non
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_bump_narrower_than_the_triangles_is_seen_inside_them(order: int) -> None:
     mesh = rectangle(7, 7, x=(0, 1.1))  # no node at the top of the bump, at no middle of an edge either
-    problem = ContactProblem(mesh, Laplace(-1.0), SIDES, BUMP, order=order)
+    problem = rm.ContactProblem(mesh, rm.Laplace(-1.0), SIDES, BUMP, order=order)
     found = admissible(problem)
     assert deepest(found) < 1e-10
     assert ContactSolver(problem).solve(problem.mesh.p).energy < found.energy - 1e-3
@@ -199,14 +185,16 @@ def test_a_bump_narrower_than_the_triangles_is_seen_inside_them(order: int) -> N
 
 @pytest.mark.slow
 def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises() -> None:
-    hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * ca.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
-    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill)
+    hill = rm.Obstacle.interior(
+        lambda x, y: -0.02 + 0.1 * ca.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002)
+    )
+    problem = rm.ContactProblem(rectangle(2, 2, diagonal="falling"), rm.Laplace(0.0), SIDES, hill)
     found = admissible(problem)
     assert found.problem.mesh.t.shape[1] > problem.mesh.t.shape[1]
-    assert found.status is Status.CONVERGED
+    assert found.status is rm.Status.CONVERGED
     assert deepest(found) < 1e-3
     assert found.energy > 0
-    above = replace(problem, dirichlet=tuple(Dirichlet(side, 0.2) for side in SIDES))
+    above = replace(problem, dirichlet=tuple(rm.Dirichlet(side, 0.2) for side in SIDES))
     assert admissible(above).problem is above
     quadratic = replace(problem, order=2)  # its edge inside the square has a free node
     found = admissible(quadratic)
@@ -214,7 +202,7 @@ def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises()
     assert deepest(found) == 0
 
 
-def ring_on_a_shaft(n: int, order: int) -> tuple[ContactProblem, float]:
+def ring_on_a_shaft(n: int, order: int) -> tuple[rm.ContactProblem, float]:
     """1 < r < 2 on a rigid shaft that is too thick for it, on n x 2n squares, and its energy."""
     flat = rectangle(n, 2 * n)
     r, angle = 1 + flat.p[0], np.pi / 2 * flat.p[1]
@@ -225,13 +213,13 @@ def ring_on_a_shaft(n: int, order: int) -> tuple[ContactProblem, float]:
         "bottom": lambda p: p[1] < 1e-9,
         "left": lambda p: p[0] < 1e-9,
     }
-    law, overlap = PlaneStrain(1.2, 0.8), 0.01
-    problem = ContactProblem(
+    law, overlap = rm.PlaneStrain(1.2, 0.8), 0.01
+    problem = rm.ContactProblem(
         named(mesh, sides),
         law,
-        (Dirichlet("bottom", (None, 0.0)), Dirichlet("left", (0.0, None))),
-        Obstacle.circle("inner", (0.0, 0.0), 1 + overlap),
-        Motion(None, curves={"inner": Circle((0.0, 0.0), 1.0), "outer": Circle((0.0, 0.0), 2.0)}),
+        (rm.Dirichlet("bottom", (None, 0.0)), rm.Dirichlet("left", (0.0, None))),
+        rm.Obstacle.circle("inner", (0.0, 0.0), 1 + overlap),
+        rm.Motion(None, curves={"inner": rm.Circle((0.0, 0.0), 1.0), "outer": rm.Circle((0.0, 0.0), 2.0)}),
         order=order,
     )
     # u_r = A r + B / r, with no stress at r = 2
@@ -249,7 +237,7 @@ def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_t
         for n in (2, 4):
             problem, exact = ring_on_a_shaft(n, order)
             found = admissible(problem)
-            assert found.status is Status.CONVERGED
+            assert found.status is rm.Status.CONVERGED
             assert deepest(found) == 0
             errors.append((found.energy - exact) / exact)
         assert errors[1] > 0
@@ -259,34 +247,34 @@ def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_t
 
 @pytest.mark.parametrize(
     ("height", "status", "order"),
-    [(-0.3, Status.CONVERGED, 1), (-0.4, Status.CONVERGED, 1), (-0.3, Status.CONVERGED, 2)],
+    [(-0.3, rm.Status.CONVERGED, 1), (-0.4, rm.Status.CONVERGED, 1), (-0.3, rm.Status.CONVERGED, 2)],
 )
 def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(height, status, order) -> None:
     """A disc smaller than an edge, over which the body is dragged: stand-offs must be raised."""
-    disc = Obstacle.circle("bottom", (1.1, height), 0.3)
-    given = (Dirichlet("top", (-0.3, -0.05)),)
-    problem = ContactProblem(rectangle(2, 1, x=(0, 2)), LAW, given, disc, order=order)
+    disc = rm.Obstacle.circle("bottom", (1.1, height), 0.3)
+    given = (rm.Dirichlet("top", (-0.3, -0.05)),)
+    problem = rm.ContactProblem(rectangle(2, 1, x=(0, 2)), LAW, given, disc, order=order)
     found = admissible(problem)
     assert found.status is status
-    assert (deepest(found) < 1e-9) is (status is Status.CONVERGED)
+    assert (deepest(found) < 1e-9) is (status is rm.Status.CONVERGED)
 
 
 RIDGE, PEAKED = (SAMPLES / 2 + 0.5) / SAMPLES, (SAMPLES * FINE / 2 + 0.5) / (SAMPLES * FINE)
 """Halfway between two points, and between two of the places between these that are looked at."""
 
 
-def cells_on(problem: ContactProblem) -> list[Cells]:
+def cells_on(problem: rm.ContactProblem) -> list[Cells]:
     space = DisplacementSpace(problem)
     return list(cells_of(Body(problem, problem.mesh.p), space, space.contact_sets[0]))
 
 
 def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0, order: int = 1) -> Cells:
     """One contact edge from x = 0 to its length over a foundation -1 + height(x / length)."""
-    problem = ContactProblem(
+    problem = rm.ContactProblem(
         rectangle(1, 1, x=(0, length)),
-        PlaneStrain(1.0, 1.0),
-        tuple(Dirichlet(name, (0.0, 0.25)) for name in held),
-        Obstacle.graph("bottom", lambda x, y: -1 + height(x / length)),
+        rm.PlaneStrain(1.0, 1.0),
+        tuple(rm.Dirichlet(name, (0.0, 0.25)) for name in held),
+        rm.Obstacle.graph("bottom", lambda x, y: -1 + height(x / length)),
         order=order,
     )
     (cells,) = cells_on(problem)
@@ -330,9 +318,9 @@ def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
 def test_a_foundation_can_be_raised_up_to_what_is_held_at_nodes_and_between_them() -> None:
     """Held nodes are 1.25 above a foundation with a crest of 0.1 beside the left one."""
     mesh = rectangle(2, 1, x=(0, 2)).with_boundaries({"part": lambda x: (x[1] == 0) & (x[0] < 1)})
-    foundation = Obstacle.graph("bottom", lambda x, y: -1 + 0.4 * x * (1 - x))
+    foundation = rm.Obstacle.graph("bottom", lambda x, y: -1 + 0.4 * x * (1 - x))
     for held, room in (("part", 1.15), ("left", 1.25)):
-        own = Continuous(ContactProblem(mesh, LAW, (Dirichlet(held, (0.0, 0.25)),), foundation))
+        own = Continuous(rm.ContactProblem(mesh, LAW, (rm.Dirichlet(held, (0.0, 0.25)),), foundation))
         (contact,) = own.space.contact_sets
         for by in (room - 0.01, room + 0.01):
             for height in (by, lambda x, y, by=by: by + 0 * x):
@@ -343,15 +331,15 @@ def test_a_foundation_can_be_raised_up_to_what_is_held_at_nodes_and_between_them
 @pytest.mark.parametrize(("held", "top", "count"), [(SIDES, 0.1, 1), (SIDES, -0.1, 0), (SIDES[:1], 0.1, 0)])
 def test_out_of_reach_are_triangles_that_are_held_at_all_nodes(held: tuple, top: float, count: int) -> None:
     """A hill about a triangle at a corner, whose nodes are given, and one with the node in the middle."""
-    hill = Obstacle.interior(lambda x, y: top - 3 * ((x - 0.85) ** 2 + (y - 0.15) ** 2))
-    (cells,) = cells_on(ContactProblem(rectangle(2, 2, diagonal="rising"), Laplace(0.0), held, hill))
+    hill = rm.Obstacle.interior(lambda x, y: top - 3 * ((x - 0.85) ** 2 + (y - 0.15) ** 2))
+    (cells,) = cells_on(rm.ContactProblem(rectangle(2, 2, diagonal="rising"), rm.Laplace(0.0), held, hill))
     assert cells.unreachable(np.zeros((1, 9))).size == count
 
 
 def test_gaps_below_a_tool_are_raised_by_the_body_alone() -> None:
-    tool = Obstacle("top", (0.0, -1.0), 0.0, force=(0.0, -1.0))
+    tool = rm.Obstacle("top", (0.0, -1.0), 0.0, force=(0.0, -1.0))
     mesh = rectangle(2, 1)
-    on = Continuous(ContactProblem(mesh, LAW, ("bottom",), tool))
+    on = Continuous(rm.ContactProblem(mesh, LAW, ("bottom",), tool))
     moved = on.field.values(on._raising @ np.ones(on.space.contact_nodes.size)) - on.given
     assert moved[1].tolist() == [*np.where(mesh.p[1] == 1, -1.0, 0.0), 0.0]
 
@@ -389,8 +377,8 @@ def test_points_share_friction_among_the_nodes_of_an_edge_as_the_integral_does()
 def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
     """-r^2 about a point of no lattice: the node opposite keeps off by its height over the plane."""
     middle = np.array([0.31, 0.27])
-    hill = Obstacle.interior(lambda x, y: -1 - (x - middle[0]) ** 2 - (y - middle[1]) ** 2)
-    problem = ContactProblem(rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), hill)
+    hill = rm.Obstacle.interior(lambda x, y: -1 - (x - middle[0]) ** 2 - (y - middle[1]) ** 2)
+    problem = rm.ContactProblem(rectangle(1, 1, diagonal="falling"), rm.Laplace(0.0), ("right",), hill)
     (cells,) = cells_on(problem)
     corner = 0 if np.all(np.min(cells.points[:, 0], axis=1) < 0.01) else 1  # the triangle at the origin
     gaps = cells.gaps(np.zeros((1, 4)))[corner]
@@ -408,13 +396,15 @@ def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
         (lambda x, y: 1 + (x - 1 / 144) ** 2 + (y - 1 / 144) ** 2 + (x + y - 1 / 72) ** 2, 1.0),
     ],
 )
-def test_in_triangles_nothing_below_the_gaps_about_their_points_is_overlooked(
-    gap: Callable, least: float, bent: str
-) -> None:
+def test_in_triangles_nothing_below_the_gaps_about_their_points_is_overlooked(gap, least, bent):
     """A saddle, straight along two sides, and a bowl whose least gap is amid three samples."""
     height = (lambda x, y: -gap(x, y)) if bent == "foundation" else -1.0
-    problem = ContactProblem(
-        rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), Obstacle.interior(height), order=2
+    problem = rm.ContactProblem(
+        rectangle(1, 1, diagonal="falling"),
+        rm.Laplace(0.0),
+        ("right",),
+        rm.Obstacle.interior(height),
+        order=2,
     )
     space, (cells,) = DisplacementSpace(problem), cells_on(problem)
     u = np.zeros((1, space.n_nodes))
@@ -435,8 +425,8 @@ def test_a_kink_beside_an_end_is_not_overlooked(part: float, slope: float) -> No
         u[1, cells.nodes[:, 0]] = 0.0, slope
         assert -2 / SAMPLES < np.min(cells.gaps(u)) - (1 + slope * place) <= 1e-12
     a = part / LATTICES[0]
-    roof = Obstacle.interior(lambda x, y: -1 - ca.fabs(x - a))
-    problem = ContactProblem(rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), roof)
+    roof = rm.Obstacle.interior(lambda x, y: -1 - ca.fabs(x - a))
+    problem = rm.ContactProblem(rectangle(1, 1, diagonal="falling"), rm.Laplace(0.0), ("right",), roof)
     (cells,) = cells_on(problem)
     corner = np.argmin(np.mean(cells.points[0], axis=1))
     gap = np.min(cells.gaps(slope * problem.mesh.p[:1])[corner])
@@ -456,7 +446,7 @@ def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_fir
 @pytest.mark.parametrize("order", ORDERS)
 def test_what_is_returned_is_admissible_and_its_energy_that_of_itself(order: int) -> None:
     """Refined where contact ends and beside the support, where springs leave the deepest penetration."""
-    problem = replace(block(replace(FLAT, friction=4.0), n=2), order=order, motion=Motion(None))
+    problem = replace(block(replace(FLAT, friction=4.0), n=2), order=order, motion=rm.Motion(None))
     for _ in range(3):
         corner = np.argsort(np.linalg.norm(problem.mesh.p[:, problem.mesh.t].mean(axis=1), axis=0))[:4]
         problem = locally_refined(problem, corner)
@@ -478,8 +468,8 @@ def test_friction_is_the_least_along_edges_and_not_at_nodes(gap: float, order: i
 
     Over the gap of 1/8, where nothing is rounded, one node sticks beside others that slide.
     """
-    foundation = Obstacle("bottom", (0.0, 1.0), gap, friction=8.0)
-    problem = replace(block(foundation, n=1), tractions=(Traction("top", (2.0, -20.0)),))
+    foundation = rm.Obstacle("bottom", (0.0, 1.0), gap, friction=8.0)
+    problem = replace(block(foundation, n=1), tractions=(rm.Traction("top", (2.0, -20.0)),))
     own = Continuous(replace(problem, order=order))
     found, nodal = own.solve(), solve(own.system(np.zeros(own.space.contact_nodes.size)))
     change = own.field.values(nodal.u) - found.displacement
@@ -498,11 +488,11 @@ def test_friction_is_the_least_along_edges_and_not_at_nodes(gap: float, order: i
 @pytest.mark.parametrize("order", [1, 2])
 def test_given_displacements_open_the_gaps_of_edges_beside_them(order: int) -> None:
     """u = x is given at both ends, which lie over a foundation that it does not meet: the energy is 1 / 2."""
-    problem = ContactProblem(
+    problem = rm.ContactProblem(
         rectangle(3, 2, x=(1, 2)),
-        Laplace(),
-        (Dirichlet("left", (1.0,)), Dirichlet("right", (2.0,))),
-        Obstacle("bottom", normal=(1.0,), offset=lambda x, y: 0.1 - x),
+        rm.Laplace(),
+        (rm.Dirichlet("left", (1.0,)), rm.Dirichlet("right", (2.0,))),
+        rm.Obstacle("bottom", normal=(1.0,), offset=lambda x, y: 0.1 - x),
         order=order,
     )
     assert admissible(problem).energy == pytest.approx(0.5, rel=1e-9)

@@ -1,7 +1,5 @@
 """Integrals over triangles, arcs and parts between jumps of data, and the energies made of them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,21 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment import integrals
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, stiffness
 from rmesh_nlp.assessment.integrals import gauss, over_edges, over_triangles
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Laplace,
-    Obstacle,
-    PiecewiseLinear,
-    PlaneStrain,
-    PointLoad,
-    Traction,
-)
+from rmesh_nlp.problem import PiecewiseLinear
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, on_points, where
 from support.curved import HOLE, plate
@@ -32,7 +22,7 @@ from support.rules import HIDDEN
 
 
 def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = ContactProblem(rectangle(1, 1, x=(0, 2), y=(0, 2)), Laplace(1.0), ("left",))
+    problem = rm.ContactProblem(rm.shapes.rectangle(1, 1, x=(0, 2), y=(0, 2)), rm.Laplace(1.0), ("left",))
     body = Body(problem, problem.mesh.p)
     edges = Edges(body, np.concatenate([problem.mesh.boundaries[side] for side in ("bottom", "top")]))
 
@@ -63,8 +53,8 @@ def test_resultants_of_loads_are_those_of_the_true_domain(order: int) -> None:
     problem = replace(
         plate({"hole": HOLE}, load=(2.0, -3.0)),
         order=order,
-        tractions=(Traction("right", (10.0, 0.0)), Traction("hole", (0.0, 4.0))),
-        point_loads=(PointLoad(0, (0.5, 0.25)),),
+        tractions=(rm.Traction("right", (10.0, 0.0)), rm.Traction("hole", (0.0, 4.0))),
+        point_loads=(rm.PointLoad(0, (0.5, 0.25)),),
     )
     load, doubt = load_vector(Body(problem, problem.mesh.p), DisplacementSpace(problem))
     area, arc = 100 - np.pi * 2.5**2, 2 * np.pi * 2.5
@@ -77,11 +67,11 @@ def test_resultants_of_loads_are_those_of_the_true_domain(order: int) -> None:
 @pytest.mark.parametrize("zeros", [(0.5, 1.7), (0.3, 3.0), (-1.0, 3.0), (0.9, 0.9), (1e-9, 1.0)])
 def test_friction_of_a_slip_that_turns_by_hand(zeros: tuple[float, float]) -> None:
     """The integral of (1 + x)^2 |(x - a) (x - b)| from 0 to 2: split at up to two places."""
-    problem = ContactProblem(
-        rectangle(1, 1, x=(0, 2)),
-        PlaneStrain(1.0, 1.0),
+    problem = rm.ContactProblem(
+        rm.shapes.rectangle(1, 1, x=(0, 2)),
+        rm.PlaneStrain(1.0, 1.0),
         ("top",),
-        Obstacle.graph("bottom", 0.0, friction=lambda x, y: (1 + x) ** 2),
+        rm.Obstacle.graph("bottom", 0.0, friction=lambda x, y: (1 + x) ** 2),
         order=2,
     )
     body, space = Body(problem, problem.mesh.p), DisplacementSpace(problem)
@@ -97,7 +87,7 @@ def test_friction_of_a_slip_that_turns_by_hand(zeros: tuple[float, float]) -> No
 
 
 def body(n: int = 3) -> Body:
-    problem = ContactProblem(rectangle(n, 2, x=(0, 2)), Laplace(1.0), ("left",))
+    problem = rm.ContactProblem(rm.shapes.rectangle(n, 2, x=(0, 2)), rm.Laplace(1.0), ("left",))
     return Body(problem, problem.mesh.p)
 
 
@@ -145,9 +135,7 @@ def disc(x, y):
         (lambda x, y: x * x * y, 8 / 6, 1e-12, True),
     ],
 )
-def test_triangles_are_split_along_jumps_and_kinks(
-    coefficient: Coefficient, exact: float, within: float, is_certain: bool
-) -> None:
+def test_triangles_are_split_along_jumps_and_kinks(coefficient, exact, within, is_certain):
     whole = body()
     total = over_triangles(whole, np.arange(12), integrand(coefficient), coefficients=(coefficient,))
     assert total.value.sum() == pytest.approx(exact, rel=within)
@@ -216,11 +204,11 @@ def test_signs_about_a_multiple_zero_are_not_certain(switch: Callable[[Array], A
 
 def test_friction_that_no_rule_integrates_has_a_doubt_that_holds() -> None:
     """The integral of the root of x from 0 to 2 is 4 / 3 of the root of 2."""
-    problem = ContactProblem(
-        rectangle(1, 1, x=(0, 2)),
-        PlaneStrain(1.0, 1.0),
+    problem = rm.ContactProblem(
+        rm.shapes.rectangle(1, 1, x=(0, 2)),
+        rm.PlaneStrain(1.0, 1.0),
         ("top",),
-        Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.sqrt(x)),
+        rm.Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.sqrt(x)),
     )
     edges = Body(problem, problem.mesh.p).edges("bottom")
     found, doubt = friction_energy(edges, problem.obstacles[0], np.ones((2, 2, 1)))

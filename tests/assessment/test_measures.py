@@ -1,7 +1,5 @@
 """Residuals, causes of a gain that is none, claims about errors, and the residual of Coulomb's law."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,14 +20,11 @@ from rmesh_nlp.assessment.measures import EXPLOITS, corrections, residuals
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.contact_pressure import nodal_forces
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
-from rmesh_nlp.problem.contact_problem import refined
 from support import sliding
 from support.curved import HOLE, plate
 from support.orders import ORDERS
@@ -53,7 +48,7 @@ def waves() -> ContactProblem:
 
 SIDES = ("left", "right", "top", "bottom")
 CAUSES: dict[str, Callable[[], ContactProblem]] = {
-    "quadrature": lambda: EXAMPLES["6.1"](4),
+    "quadrature": lambda: rm.EXAMPLES["6.1"](4),
     "penetration": waves,
     "friction": sliding_block,
     "geometry": lambda: plate({"hole": HOLE}),
@@ -122,7 +117,7 @@ def test_quantities_count_nodes_that_press() -> None:
     normal, tangential = np.zeros((2, 5))
     normal[order], tangential[order] = force, sideways
     active = ActiveSet(normal > 0, np.zeros(5, dtype=np.int8))
-    state = Equilibrium(found.state.u, 0.0, normal, tangential, active, Status.CONVERGED, 1)
+    state = Equilibrium(found.state.u, 0.0, normal, tangential, active, rm.Status.CONVERGED, 1)
     (values,) = contact_results(found.continuous.space, problem.mesh.p, found.system, state).values()
     assert vars(values) == pytest.approx(vars(ContactResult(9.0, 12.0, 12.0, 1.0, 12.0, 9.0, 10.0)))
     free = ContactProblem(problem.mesh, LAW, ("left",))
@@ -133,7 +128,7 @@ def test_quantities_count_nodes_that_press() -> None:
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
 def test_the_resultant_is_what_presses_the_body_without_friction(example, n, order) -> None:
-    found = admissible(replace(EXAMPLES[example](n), order=order))
+    found = admissible(replace(rm.EXAMPLES[example](n), order=order))
     (values,) = contact_results(found.continuous.space, found.body.nodes, found.system, found.state).values()
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
     pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
@@ -279,7 +274,7 @@ def truth(problem: ContactProblem) -> float:
     energies = []
     while len(energies) < 3:
         energies.append(admissible(problem).energy)
-        problem = refined(problem)
+        problem = rm.refined(problem)
     one, two = -np.diff(energies)[-2:]
     return energies[-1] - two * (two / one) / (1 - two / one)
 
@@ -305,7 +300,7 @@ def test_nothing_is_claimed_where_linear_triangles_lock() -> None:
     def claimed(poisson: float, order: int) -> bool:
         law, sides = PlaneStrain.from_young(1000.0, poisson, (0.0, -50.0)), ("left",)
         given = ContactProblem(rectangle(2, 1), law, sides, Obstacle.graph("bottom", -0.01), order=order)
-        finer = refined(given)
+        finer = rm.refined(given)
         return error_reduction(admissible(given), admissible(finer), 2)[0] is not None
 
     assert [claimed(0.499, 1), claimed(0.3, 1), claimed(0.499, 2)] == [False, True, True]
@@ -318,7 +313,7 @@ def test_nothing_is_claimed_of_a_fall_within_rounding() -> None:
 
 
 def test_an_exact_energy_gives_the_factor_itself() -> None:
-    problem = EXAMPLES["6.1"](n=4)
+    problem = rm.EXAMPLES["6.1"](n=4)
     nodes = np.array(problem.mesh.p)
     nodes[0, problem.mesh.interior_nodes()] += 0.02
     before, after = sorted([admissible(problem), admissible(problem, nodes)], key=lambda end: -end.energy)
@@ -335,7 +330,7 @@ def test_an_exact_energy_gives_the_factor_itself() -> None:
 def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(monkeypatch) -> None:
     def failed(*given: object, **start: object) -> Admissible:
         found = admissible(*given, **start)
-        return replace(found, state=replace(found.state, status=Status.CYCLED))
+        return replace(found, state=replace(found.state, status=rm.Status.CYCLED))
 
     ends = on_square(0.1)
     assert error_reduction(*ends, 1)[0] is not None

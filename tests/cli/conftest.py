@@ -1,7 +1,5 @@
 """The command line as a function."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line itself: help, exit codes, Ctrl-C."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

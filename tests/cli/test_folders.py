@@ -1,7 +1,5 @@
 """Folders that are written: nothing of the user's is touched, nothing is left where nothing came of it."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is typed reaches the planned solve; what cannot be meant is refused in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +140,13 @@ def test_a_name_with_dots_is_a_setting_of_settings_and_what_is_none_is_refused()
         ("compare 6.1 --n 3 --out file/x", "file/x"),
         ("new nowhere/my.toml", "nowhere"),
         ("new file", "file: File exists"),
+        ("solve 6.2 --n 4x2 --nodes 40", "--nodes 40 is for --remesh"),
+        ("remesh problem.toml --out better.stl", "better.stl: expected a file .msh"),
+        (
+            "remesh problem.toml --out nowhere/a.msh",
+            "nowhere/a.msh: expected a file .msh in a folder that exists",
+        ),
+        ("remesh problem.toml --nodes 2", "--nodes"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(rmesh, typed: str, named: str) -> None:
@@ -154,8 +159,3 @@ def test_bad_input_is_one_line_and_exit_code_2(rmesh, typed: str, named: str) ->
     assert line.startswith("rmesh: error: ")
     assert named in line
     assert {path.name for path in Path().iterdir()} == files.keys()
-
-
-def test_a_number_of_nodes_is_for_a_new_mesh(rmesh) -> None:
-    said = rmesh("solve 6.2 --n 4x2 --nodes 40")
-    assert (said.code, said.err.strip()) == (2, "rmesh: error: --nodes 40 is for --remesh")

@@ -1,7 +1,5 @@
 """``rmesh solve`` and ``rmesh compare`` on examples: what is written, printed and returned."""
 
-from __future__ import annotations
-
 import errno
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sums over elements and their derivatives, exact rules, loads that jump or kink within elements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import factorial
@@ -15,20 +13,12 @@ import rmesh_nlp as rm
 from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.contact_terms import friction, gaps
-from rmesh_nlp.fem.fields import (
-    NONE,
-    ElementGroup,
-    Field,
-)
+from rmesh_nlp.fem.fields import NONE, ElementGroup, Field
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.coefficients import where
 from rmesh_nlp.problem.quadrature import triangle_rule
-from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_along_a_circle
 from support.derivatives import assert_derivatives_are_casadis
 from support.problems import sloped_block, tied_neighbours
@@ -68,15 +58,15 @@ def test_meshes_of_a_problem_share_functions_of_contact() -> None:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: replace(EXAMPLES["6.1"](2, 0.1), quadrature=4),
-        lambda: EXAMPLES["6.3"]((4, 2)),
+        lambda: replace(rm.EXAMPLES["6.1"](2, 0.1), quadrature=4),
+        lambda: rm.EXAMPLES["6.3"]((4, 2)),
         lambda: sloped_block(n=(4, 2)),
         lambda: block_along_a_circle(2),
         tied_neighbours,
-        lambda: replace(EXAMPLES["6.1"](2, 0.1), law=Laplace(wave, conductivity=2.5), order=2),
+        lambda: replace(rm.EXAMPLES["6.1"](2, 0.1), law=rm.Laplace(wave, conductivity=2.5), order=2),
     ],
 )
-def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:
+def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], rm.ContactProblem]) -> None:
     rel = relocation(make())
     valid = rel.validity.group.shifted(rel.rows["valid"].start)
     f, g = expressions([*rel.groups, valid], rel.x, rel.rows.size)
@@ -92,7 +82,7 @@ def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], C
 def test_nothing_is_unrolled_over_the_mesh() -> None:
     # the expression graph of the assembled functions must not grow with the mesh
     def nodes(n: int) -> int:
-        derivatives = relocation(EXAMPLES["6.1"](n)).nlp.derivatives
+        derivatives = relocation(rm.EXAMPLES["6.1"](n)).nlp.derivatives
         assert derivatives is not None
         return sum(f.n_instructions() for f in (derivatives.grad_f, derivatives.jac_g, derivatives.hess_lag))
 
@@ -111,7 +101,7 @@ def test_quadrature_rules_integrate_their_degree_exactly() -> None:
 
 
 def test_problems_that_differ_in_their_load_alone_share_no_derivatives() -> None:
-    problem, gradients = EXAMPLES["6.1"](n=3), []
+    problem, gradients = rm.EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
         gradients.append(program.assembled.first(np.linspace(0, 1, program.nlp.n_x), None)[1])
@@ -119,13 +109,10 @@ def test_problems_that_differ_in_their_load_alone_share_no_derivatives() -> None
 
 
 JUMPS = (
-    lambda x, y: where(x > 1.51787, -5.62, -1.3534646),
-    lambda x, y: where(ca.logic_and(x > 0.3, x < 0.35), -7.0, ca.fabs(x - 0.9)),
+    lambda x, y: rm.where(x > 1.51787, -5.62, -1.3534646),
+    lambda x, y: rm.where(ca.logic_and(x > 0.3, x < 0.35), -7.0, ca.fabs(x - 0.9)),
 )
-SOURCES = (
-    lambda x, y: where(x + 0.7 * y > 1.1, -3.5, 2.0 * y),
-    lambda x, y: ca.fmax(y - 0.6 * x, 0.0),
-)
+SOURCES = (lambda x, y: rm.where(x + 0.7 * y > 1.1, -3.5, 2.0 * y), lambda x, y: ca.fmax(y - 0.6 * x, 0.0))
 
 
 def pulled(order: int) -> rm.ContactProblem:
@@ -160,7 +147,7 @@ def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
 
 @pytest.mark.slow
 def test_the_energy_of_loads_that_jump_has_both_derivatives() -> None:
-    outer = Outer.of(pulled(1))
+    outer = rm.Outer.of(pulled(1))
     q, d = np.random.default_rng(1).uniform(-1, 1, (2, outer.n)) * [[0.1], [1]]
     assert taylor_order(outer.energy, q, d, 1e-4) == pytest.approx(2, abs=0.02)
     product = outer.energy.hessian(outer.energy(q))(d)

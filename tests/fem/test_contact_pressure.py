@@ -1,7 +1,5 @@
 """Pressures recovered from nodal forces: exact for linear ones, shared nodes, forces in equilibrium."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +11,11 @@ import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import Continuous
 from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, unlimited_peaks
 from rmesh_nlp.contact.active_set import solve
-from rmesh_nlp.contact.setup_warnings import check
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces, recovered
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import PiecewiseLinear
 from rmesh_nlp.solving.summary import summary
-from rmesh_nlp.solving.verification import verify_gradient
 from support.orders import ORDERS
 
 PARTS = Path(__file__).parents[2] / "docs" / "parts"
@@ -113,7 +109,7 @@ def test_pressure_does_not_overshoot_beside_a_support(stress: tuple[float, ...],
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("objective", ["resultant(free)", "resultant(free) + 0.1*level-pressure(free)"])
 def test_gradient_of_the_resultant_has_the_shared_node(order: int, objective: str) -> None:
-    test = verify_gradient(slab(order, slope=0.1, poisson=0.3), objective)
+    test = rm.verify_gradient(slab(order, slope=0.1, poisson=0.3), objective)
     assert test.passed, test.summary()
     assert test.slope != 0
 
@@ -284,7 +280,7 @@ def test_peak_without_a_limit_is_told(wide: float, words: str) -> None:
 def test_resolution_is_warned_of_by_one_rule() -> None:
     """Less than three vertices under pressure, or at order 2 two edges."""
     for order, n, is_said in ((1, 8, True), (2, 8, True), (1, 16, False), (2, 16, False)):
-        texts = check(replace(hertz(n), order=order))
+        texts = rm.check(replace(hertz(n), order=order))
         assert any("too coarse" in text for text in texts) is is_said
 
 

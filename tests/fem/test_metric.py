@@ -1,7 +1,5 @@
 """Recovered derivatives, errors of interpolation, and the metric of the best mesh."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import factorial
 from typing import Any
@@ -14,13 +12,7 @@ from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import recovery
-from rmesh_nlp.fem.interpolation_error import (
-    best_shapes,
-    errors,
-    isotropic_errors,
-    least_errors,
-    stretched,
-)
+from rmesh_nlp.fem.interpolation_error import best_shapes, errors, isotropic_errors, least_errors, stretched
 from rmesh_nlp.fem.metric import FLOOR, best_metric, nodal_areas
 from rmesh_nlp.fem.recovery import RINGS, Recovered
 from rmesh_nlp.fem.recovery import recovered as recovered_in

@@ -1,7 +1,5 @@
 """Outer objectives, least squares to measurements among them: values, derivatives, algebra, text."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +18,6 @@ from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.reduced_model import ReducedObjective
-from rmesh_nlp.problem import ContactProblem, DesignVariable, Motion, Obstacle, PlaneStrain
-from rmesh_nlp.problem.contact_problem import refined
 from support.designs import block
 from support.objectives import value_on
 from support.orders import ORDERS
@@ -30,7 +26,7 @@ from support.solved import example
 from support.taylor import difference_order, taylor_order
 
 
-def value(problem: ContactProblem, text: Any, u: np.ndarray | None = None) -> float:
+def value(problem: rm.ContactProblem, text: Any, u: np.ndarray | None = None) -> float:
     """The objective on the given mesh with coefficients u, by default zero, and their slips."""
     found, objective = discretise(problem), parse_objective(text)
     x = np.zeros(found.unknowns.size)
@@ -43,7 +39,7 @@ def value(problem: ContactProblem, text: Any, u: np.ndarray | None = None) -> fl
     return objective.on(found.fields()).evaluate()(x)
 
 
-def unknowns(problem: ContactProblem, u: np.ndarray) -> np.ndarray:
+def unknowns(problem: rm.ContactProblem, u: np.ndarray) -> np.ndarray:
     """The displacement unknowns of coefficients, which are as given where they are held."""
     field, n = discretise(problem).displacement, discretise(problem).n_u
     free = np.zeros(n)
@@ -52,20 +48,20 @@ def unknowns(problem: ContactProblem, u: np.ndarray) -> np.ndarray:
     return free
 
 
-def drawn(problem: ContactProblem) -> np.ndarray:
+def drawn(problem: rm.ContactProblem) -> np.ndarray:
     held, given = discretise(problem).space.given()
     return np.where(held, given, np.random.default_rng(0).uniform(-1, 1, held.shape))
 
 
 @pytest.fixture(scope="module")
-def plate() -> ContactProblem:
+def plate() -> rm.ContactProblem:
     """(0, 2) x (0, 1), so that lengths are not 1; nothing is held at the right."""
     mesh = rm.shapes.rectangle(3, 2, x=(0, 2)).with_subdomains({"left half": lambda x: x[0] < 0.5})
-    obstacle = Obstacle("bottom", (0.0, 1.0), 0.0)
-    return ContactProblem(mesh, PlaneStrain(1.0, 1.0), ("left",), obstacle, Motion(0.01))
+    obstacle = rm.Obstacle("bottom", (0.0, 1.0), 0.0)
+    return rm.ContactProblem(mesh, rm.PlaneStrain(1.0, 1.0), ("left",), obstacle, rm.Motion(0.01))
 
 
-def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
+def linear(problem: rm.ContactProblem, *slopes: float) -> np.ndarray:
     """Coefficients of the displacement with these multiples of x."""
     return discretise(problem).space.points(np.multiply.outer(slopes, problem.mesh.p[0]))
 
@@ -85,11 +81,11 @@ def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
         ("boundary(left, -nx*y)", 0.5),
     ],
 )
-def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
+def test_integrals_over_a_plate_by_hand(plate: rm.ContactProblem, text: str, expected: float) -> None:
     assert value(plate, text) == pytest.approx(expected, rel=1e-11)
 
 
-def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) -> None:
+def test_densities_on_a_subdomain_and_functions_of_nodes(plate: rm.ContactProblem) -> None:
     part = rm.quantities.body_integral(lambda x, y, u, slope: x, subdomain="left half")
     basis = Basis(plate.mesh, ElementTriP1(), elements=plate.mesh.subdomains["left half"])
     assert value(plate, part) == pytest.approx(Functional(lambda w: w.x[0]).assemble(basis), rel=1e-12)
@@ -104,12 +100,12 @@ def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) 
         value(plate, rm.quantities.nodal([0, 1], lambda X, u: X[:, 0]))
     with pytest.raises(ValueError, match="unknown subdomain 'soft': choose from left half"):
         value(plate, rm.quantities.body_integral(lambda *_: 1, subdomain="soft"))
-    E = DesignVariable("E", 1.0, (0.5, 2.0))
+    E = rm.DesignVariable("E", 1.0, (0.5, 2.0))
     with pytest.raises(ValueError, match="depends on the design variables E"):
         value(plate, rm.quantities.body_integral(lambda *_: E.symbol))
 
 
-def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem) -> None:
+def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: rm.ContactProblem) -> None:
     u = linear(plate, 0.3, -0.2)
     assert value(plate, "node(2, 1, 10*ux + uy + 100*y)", u) == pytest.approx(6 - 0.4 + 100)
     for off in (0.0, 1.9e-6):
@@ -155,21 +151,21 @@ WRONG = {  # the last ones are told by a problem only: Example 6.2 without an ex
 
 
 @pytest.fixture(scope="module")
-def inexact() -> ContactProblem:
+def inexact() -> rm.ContactProblem:
     return replace(example("6.2", (6, 3)), exact=None)
 
 
 @pytest.mark.parametrize(("text", "said"), [(text, said) for said, texts in WRONG.items() for text in texts])
-def test_what_is_wrong_with_an_objective_is_said(inexact: ContactProblem, text: str, said: str) -> None:
+def test_what_is_wrong_with_an_objective_is_said(inexact: rm.ContactProblem, text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         value(inexact, text)
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_errors_along_the_contact_by_hand(plate: ContactProblem, order: int) -> None:
+def test_errors_along_the_contact_by_hand(plate: rm.ContactProblem, order: int) -> None:
     """The exact stresses of (0.5 y, -0.1 y) are 0.5 in shear and -0.3 across; only the bottom is rough."""
     exact = rm.ExactSolution(lambda x, y: ca.vertcat(0.5 * y, -0.1 * y), 0.0)
-    walls = Obstacle("bottom", (0.0, 1.0), 0.7, friction=0.6), Obstacle("top", (0.0, -1.0), 0.1)
+    walls = rm.Obstacle("bottom", (0.0, 1.0), 0.7, friction=0.6), rm.Obstacle("top", (0.0, -1.0), 0.1)
     problem = replace(plate, obstacle=walls, exact=exact, order=order)
     u = linear(problem, 0.3, -0.2)
     assert value(problem, "contact", u) == pytest.approx(0.3 * (-0.4 + 1.4) + 0.3 * (0.4 + 0.2))
@@ -182,7 +178,7 @@ def test_errors_along_the_contact_need_one_law_and_a_boundary() -> None:
     )
     halves = {"left half": lambda x: x[0] < 2, "right half": lambda x: x[0] > 2}
     two = replace(problem, mesh=problem.mesh.with_subdomains(halves), law=dict.fromkeys(halves, problem.law))
-    membrane = replace(example("6.1", 4), obstacle=Obstacle.interior(-1.0))
+    membrane = replace(example("6.1", 4), obstacle=rm.Obstacle.interior(-1.0))
     for name in ("contact", "friction"):
         assert np.isfinite(value(problem, name))
         with pytest.raises(ValueError, match=f"'{name}' needs one law"):
@@ -239,11 +235,11 @@ def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
             places.add(int(np.flatnonzero(shuffled.f2t[:, facet] == 0)[0]))
             named = shuffled.with_boundaries({"left": lambda x: x[0] == 0, "cut": np.array([facet])})
             with pytest.raises(ValueError, match="'cut' is an interface inside the body"):
-                value(ContactProblem(named, rm.Laplace(1.0), ("left",)), "mean(cut, u)")
+                value(rm.ContactProblem(named, rm.Laplace(1.0), ("left",)), "mean(cut, u)")
     assert places == {0, 1}
 
 
-def exact_error(problem: ContactProblem, w: Any) -> tuple[np.ndarray, np.ndarray]:
+def exact_error(problem: rm.ContactProblem, w: Any) -> tuple[np.ndarray, np.ndarray]:
     """The error of ``w["u"]`` and its gradient at quadrature points."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     exact = ca.vertcat(problem.exact.value(x, y))
@@ -293,7 +289,7 @@ def test_the_gradient_passes_its_taylor_test(order: int) -> None:
     assert rm.verify_gradient(problem, text).order == pytest.approx(2, abs=0.1)
 
 
-def still(problem: ContactProblem) -> ContactProblem:
+def still(problem: rm.ContactProblem) -> rm.ContactProblem:
     return replace(problem, motion=rm.Motion(delta=0.05, pinned=tuple(range(problem.mesh.p.shape[1]))))
 
 
@@ -316,7 +312,7 @@ def test_derivatives_where_points_are_in_space(order: int) -> None:
     assert difference_order(lambda x: function(x).gradient, hessian(d), q, d) > 1.9
 
 
-def _by_skfem(problem: ContactProblem, u: np.ndarray, points: np.ndarray, values: np.ndarray) -> float:
+def _by_skfem(problem: rm.ContactProblem, u: np.ndarray, points: np.ndarray, values: np.ndarray) -> float:
     """The weighted squares, the displacement of order 1 or 2 evaluated by barycentric coordinates."""
     basis = Basis(problem.mesh, ElementTriP1() if problem.order == 1 else ElementTriP2())
     nodal = DisplacementSpace(problem).values(u)
@@ -397,7 +393,7 @@ def test_files_are_beside_the_file_that_names_them() -> None:
 @pytest.mark.slow
 def test_moduli_and_friction_are_identified() -> None:
     """From the displacement at the lower edge of the same block with other numbers."""
-    E, F = DesignVariable("E", 1.0, (0.5, 2.0)), DesignVariable("F", 0.05, (0.0, 0.3))
+    E, F = rm.DesignVariable("E", 1.0, (0.5, 2.0)), rm.DesignVariable("F", 0.05, (0.0, 0.3))
     problem = replace(block(E, F, n=(4, 2)), motion=rm.Motion(delta=0.0))
     true = rm.solve(problem.at_design({"E": 1.4, "F": 0.2}), "fixed")
     nodes = np.flatnonzero(problem.mesh.p[1] == 0)
@@ -413,7 +409,7 @@ def test_the_gain_is_measured_on_refined_meshes_whose_triangles_a_point_could_le
     problem = replace(example("6.3", (4, 2)), motion=rm.Motion(delta=0.02))
     objective = 1e6 * rm.quantities.fit([[0.51], [0.4]], [[np.nan], [-2e-3]])
     with pytest.raises(ValueError, match="may pass into another triangle"):
-        value_on(refined(problem), objective)
+        value_on(rm.refined(problem), objective)
     solution = rm.solve(problem, "nested", objective=objective)
     assert solution.success
     assert np.isfinite(solution.record()["gain_surviving"])

@@ -1,7 +1,5 @@
 """Spaces of displacements, fields in pieces, laws and stresses: known rates and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -11,26 +9,12 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.sampling import along, edges_of, pieces, sampled
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    ExactSolution,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    PlaneStress,
-    Relative,
-    Traction,
-)
 from support.curved import HOLE, plate
 from support.formulations import fixed
 from support.sliding import elastic, entries
@@ -40,26 +24,26 @@ def bent(x: Any, y: Any) -> Any:
     return ca.vertcat(ca.sin(2 * x) * ca.cos(y), x * x * ca.exp(y))
 
 
-def smooth_block(n: int, order: int) -> ContactProblem:
+def smooth_block(n: int, order: int) -> rm.ContactProblem:
     """Its solution on the unit square is ``bent``, which is given on the left; it is loaded elsewhere."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     _, stress, force = elastic(bent(x, y), x, y, 3.0, 2.0)
     body = ca.Function("f", [x, y], [force])
     sides = {"right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
     loads = {name: ca.Function("t", [x, y], [stress @ ca.DM(n)]) for name, n in sides.items()}
-    return ContactProblem(
-        rectangle(n, n),
-        PlaneStrain(3.0, 2.0, entries(body, 0, 1)),
-        (Dirichlet("left", (lambda x, y: bent(x, y)[0], lambda x, y: bent(x, y)[1])),),
-        tractions=tuple(Traction(name, entries(load, 0, 1)) for name, load in loads.items()),
-        motion=Motion(None),
+    return rm.ContactProblem(
+        rm.shapes.rectangle(n, n),
+        rm.PlaneStrain(3.0, 2.0, entries(body, 0, 1)),
+        (rm.Dirichlet("left", (lambda x, y: bent(x, y)[0], lambda x, y: bent(x, y)[1])),),
+        tractions=tuple(rm.Traction(name, entries(load, 0, 1)) for name, load in loads.items()),
+        motion=rm.Motion(None),
         quadrature=10,
-        exact=ExactSolution(bent, float("nan")),
+        exact=rm.ExactSolution(bent, float("nan")),
         order=order,
     )
 
 
-def errors(problem: ContactProblem) -> tuple[int, list[float]]:
+def errors(problem: rm.ContactProblem) -> tuple[int, list[float]]:
     """Number of nodes, and squared errors in the energy norm and in L2 of the contact solution."""
     solver = ContactSolver(problem)
     space, given = solver.discretisation.space, solver.given
@@ -81,7 +65,7 @@ def test_a_smooth_solution_has_full_rates(order: int) -> None:
 ORDERS = pytest.mark.parametrize("order", [1, 2])
 
 
-def space_of(problem: ContactProblem, order: int) -> DisplacementSpace:
+def space_of(problem: rm.ContactProblem, order: int) -> DisplacementSpace:
     return DisplacementSpace(replace(problem, order=order))
 
 
@@ -91,7 +75,7 @@ def polynomial(order: int, x: np.ndarray) -> np.ndarray:
 
 @ORDERS
 def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(order: int) -> None:
-    space = space_of(EXAMPLES["6.1"](3), order)
+    space = space_of(rm.EXAMPLES["6.1"](3), order)
     nodes, cells = space.points_on_body(space.problem.mesh.p), space.elements
     cut = pieces(cells)
     points = sampled(cells, nodes, cut.shares)
@@ -106,7 +90,7 @@ def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(order: int) -> 
 
 @ORDERS
 def test_edges_are_those_of_the_mesh_with_their_middles(order: int) -> None:
-    space = space_of(EXAMPLES["6.3"]((4, 2)), order)
+    space = space_of(rm.EXAMPLES["6.3"]((4, 2)), order)
     mesh, nodes = space.problem.mesh, space.points_on_body(space.problem.mesh.p)
     for edges, facets in (
         (edges_of(space.elements), np.arange(mesh.facets.shape[1])),
@@ -126,7 +110,7 @@ def test_middles_of_edges_on_a_curve_are_on_it() -> None:
     space = space_of(plate({"hole": HOLE}), 2)
     mesh = space.problem.mesh
     nodes = space.points_on_body(np.asarray(mesh.p))
-    assert isinstance(HOLE, Circle)
+    assert isinstance(HOLE, rm.Circle)
     on_hole = space.nodes_of(mesh.facets[:, mesh.boundaries["hole"]])
     np.testing.assert_allclose(np.linalg.norm(nodes[:, on_hole] - 5.0, axis=0), 2.5, rtol=1e-12)
     others = np.setdiff1d(np.arange(space.n_nodes), on_hole)
@@ -138,40 +122,47 @@ def test_middles_of_edges_on_a_curve_are_on_it() -> None:
     assert np.max(np.abs(bent - 2.5)) < 0.02 * np.max(2.5 - chords)
 
 
-def bar(law: object) -> ContactProblem:
+def bar(law: object) -> rm.ContactProblem:
     """A bar (0,2) x (0,1) on rollers, stretched by 0.01 at its right end."""
-    rollers = Dirichlet("left", (0.0, None)), Dirichlet("bottom", (None, 0.0))
-    mesh = rectangle(2, 1, x=(0, 2))
-    return ContactProblem(mesh, law, (*rollers, Dirichlet("right", (0.01, None))), motion=Motion(0.05))
+    rollers = rm.Dirichlet("left", (0.0, None)), rm.Dirichlet("bottom", (None, 0.0))
+    mesh = rm.shapes.rectangle(2, 1, x=(0, 2))
+    return rm.ContactProblem(
+        mesh, law, (*rollers, rm.Dirichlet("right", (0.01, None))), motion=rm.Motion(0.05)
+    )
 
 
 def test_uniaxial_tension_has_the_energy_of_youngs_modulus() -> None:
     E, nu, strain = 210.0, 0.3, 0.005
-    for law, modulus, contraction in ((PlaneStress, E, nu), (PlaneStrain, E / (1 - nu**2), nu / (1 - nu))):
+    for law, modulus, contraction in (
+        (rm.PlaneStress, E, nu),
+        (rm.PlaneStrain, E / (1 - nu**2), nu / (1 - nu)),
+    ):
         solution = fixed.solve(bar(law.from_young(E, nu)))
         assert solution.energy == pytest.approx(0.5 * modulus * strain**2 * 2, rel=1e-12)
         lateral = -contraction * strain * solution.mesh.p[1]
         np.testing.assert_allclose(solution.displacement[1], lateral, atol=1e-15)
 
 
-def pressed_block(obstacle: Obstacle) -> ContactProblem:
-    mesh, push = rectangle(4, 4, diagonal="falling"), Dirichlet("top", (0.001, -0.01))
-    return ContactProblem(mesh, PlaneStrain(100.0, 80.0), (push,), obstacle, Motion(Relative(0.2)))
+def pressed_block(obstacle: rm.Obstacle) -> rm.ContactProblem:
+    mesh, push = rm.shapes.rectangle(4, 4, diagonal="falling"), rm.Dirichlet("top", (0.001, -0.01))
+    return rm.ContactProblem(
+        mesh, rm.PlaneStrain(100.0, 80.0), (push,), obstacle, rm.Motion(rm.Relative(0.2))
+    )
 
 
 @pytest.mark.slow
 def test_penetration_between_nodes_is_measured() -> None:
-    curved = fixed.solve(pressed_block(Obstacle.graph("bottom", lambda x, y: -0.02 * (x - 0.5) ** 2)))
+    curved = fixed.solve(pressed_block(rm.Obstacle.graph("bottom", lambda x, y: -0.02 * (x - 0.5) ** 2)))
     # a parabola rises c h^2 / 4 above its chord; here edges of 1/4 touch with both ends
     assert curved.assessment.final.penetration == pytest.approx(0.02 / 4**2 / 4, rel=1e-6)
-    flat = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1))))
+    flat = fixed.solve(pressed_block(rm.Obstacle.line("bottom", (0, 0), (0, 1))))
     assert flat.assessment.final.penetration <= 1e-16
 
 
 @pytest.mark.slow
 def test_a_friction_bound_may_vary_with_position() -> None:
     bound = lambda x, y: 0.1 + 0.2 * x  # noqa: E731
-    solution = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1), friction=bound)))
+    solution = fixed.solve(pressed_block(rm.Obstacle.line("bottom", (0, 0), (0, 1), friction=bound)))
     nodes = solution.problem.contact_nodes[np.argsort(solution.mesh.p[0, solution.problem.contact_nodes])]
     x, force = solution.mesh.p[0, nodes], np.abs(solution.final.tangential_stress[nodes])[1:-1]
     # the integral of g times the hat function over omega_i: for a linear g its value where the hat balances
@@ -183,15 +174,15 @@ def test_a_friction_bound_may_vary_with_position() -> None:
 
 @pytest.mark.slow
 def test_a_held_tangent_at_a_rough_contact_node_transmits_no_friction() -> None:
-    problem = ContactProblem(
-        rectangle(4, 2),
-        PlaneStrain(100.0, 80.0),
-        (Dirichlet("left", (0.0, None)), Dirichlet("top", (None, -0.01))),
-        Obstacle("bottom", friction=0.1),
-        Motion(0.02),
+    problem = rm.ContactProblem(
+        rm.shapes.rectangle(4, 2),
+        rm.PlaneStrain(100.0, 80.0),
+        (rm.Dirichlet("left", (0.0, None)), rm.Dirichlet("top", (None, -0.01))),
+        rm.Obstacle("bottom", friction=0.1),
+        rm.Motion(0.02),
     )
     with pytest.raises(ValueError, match="with friction it must be zero"):
-        replace(problem, dirichlet=(Dirichlet("left", (0.001, None)), Dirichlet("top", (None, -0.01))))
+        replace(problem, dirichlet=(rm.Dirichlet("left", (0.001, None)), rm.Dirichlet("top", (None, -0.01))))
     solution = fixed.solve(problem)
     corner = np.flatnonzero(np.all(problem.mesh.p == 0, axis=0))
     assert solution.success

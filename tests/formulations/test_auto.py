@@ -1,7 +1,5 @@
 """What is chosen for a problem, the cascade of meshes behind it, what Ctrl-C keeps, and the record of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -19,28 +17,19 @@ from formulations.joint import Joint
 from formulations.nested import Nested
 from formulations.schedule import Schedule
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.regularisation import gain_estimate
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-)
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.summary import summary
 from support.formulations import auto
 from support.problems import no_move_limits
 
 
-def free(n: int) -> ContactProblem:
-    return no_move_limits(EXAMPLES["6.1"](n=n))
+def free(n: int) -> rm.ContactProblem:
+    return no_move_limits(rm.EXAMPLES["6.1"](n=n))
 
 
 @pytest.mark.slow
@@ -66,18 +55,18 @@ def test_relocation_without_move_limits_and_what_the_record_and_the_steps_say_of
     assert seen[-1].energy_given == pytest.approx(solution.energy_initial)
 
 
-def square(n: int, motion: Motion, **parts: Any) -> ContactProblem:
-    return ContactProblem(rectangle(n, n), Laplace(1.0), ("left", "right"), motion=motion, **parts)
+def square(n: int, motion: rm.Motion, **parts: Any) -> rm.ContactProblem:
+    return rm.ContactProblem(rectangle(n, n), rm.Laplace(1.0), ("left", "right"), motion=motion, **parts)
 
 
-INSIDE = tuple(square(3, Motion()).mesh.interior_nodes().tolist())
-STILL = Motion(None, pinned=("left", "bottom", "top", "right", *INSIDE))
-BODY = ContactProblem(
+INSIDE = tuple(square(3, rm.Motion()).mesh.interior_nodes().tolist())
+STILL = rm.Motion(None, pinned=("left", "bottom", "top", "right", *INSIDE))
+BODY = rm.ContactProblem(
     rectangle(6, 3, x=(0, 2)),
-    PlaneStrain(1.0, 1.0),
+    rm.PlaneStrain(1.0, 1.0),
     "left",
-    Obstacle.curve("bottom", lambda x, y: y + 0.05 * (x - 1) ** 2),
-    Motion(None),
+    rm.Obstacle.curve("bottom", lambda x, y: y + 0.05 * (x - 1) ** 2),
+    rm.Motion(None),
 )
 RINGS = rm.read_problem(Path(__file__).parents[2] / "docs" / "parts" / "rings.toml")
 FREE_RINGS = replace(
@@ -87,34 +76,29 @@ FREE_RINGS = replace(
 )
 
 
-def pin(radius: float, order: int) -> ContactProblem:
+def pin(radius: float, order: int) -> rm.ContactProblem:
     """A plate with a round hole of radius 1 that touches a pin at its right end."""
     plate = plate_with_hole(0.45, size=4, radius=1)
-    return ContactProblem(
-        plate, PlaneStrain(1.0, 1.0), "left", Obstacle.circle("hole", (3 - radius, 2), radius),
-        Motion(None, curves={"hole": rm.Circle((2, 2), 1)}), order=order,
+    return rm.ContactProblem(
+        plate, rm.PlaneStrain(1.0, 1.0), "left", rm.Obstacle.circle("hole", (3 - radius, 2), radius),
+        rm.Motion(None, curves={"hole": rm.Circle((2, 2), 1)}), order=order,
     )  # fmt: skip
 
 
 # the gap of a membrane says nothing of its outline
-ROUND = replace(pin(0.99, 2), law=Laplace(1.0), obstacle=rm.Obstacle("hole", (1.0,)), dirichlet="left")
+ROUND = replace(pin(0.99, 2), law=rm.Laplace(1.0), obstacle=rm.Obstacle("hole", (1.0,)), dirichlet="left")
 
 
 @pytest.mark.parametrize(
     ("problem", "objective", "chosen", "why"),
     [
-        (square(3, Motion(0.02)), "energy", Joint, "joint: nodes have move limits"),
+        (square(3, rm.Motion(0.02)), "energy", Joint, "joint: nodes have move limits"),
         # on 1,156 nodes: the time of joint grows like the square of their number
-        (
-            square(33, Motion(0.001)),
-            "energy",
-            Nested,
-            "nested, newton: nodes have move limits",
-        ),
+        (square(33, rm.Motion(0.001)), "energy", Nested, "nested, newton: nodes have move limits"),
         (square(3, STILL), "energy", Nested, "nested: no node can move"),
-        (square(3, Motion(0.02)), "body(u)", Nested, "nested: the objective is not the energy"),
-        (square(3, Motion(None, min_angle=20.0)), "energy", Schedule, "joint, regularised"),
-        (square(3, Motion(None)), "energy", Cascade, "cascade: relocation without move limits"),
+        (square(3, rm.Motion(0.02)), "body(u)", Nested, "nested: the objective is not the energy"),
+        (square(3, rm.Motion(None, min_angle=20.0)), "energy", Schedule, "joint, regularised"),
+        (square(3, rm.Motion(None)), "energy", Cascade, "cascade: relocation without move limits"),
         (BODY, "energy", Cascade, "gaps along edges: a foundation is curved"),
         (pin(0.99, 2), "energy", Fixed, "fixed: nodes on arcs that fit what they touch"),
         (pin(0.99, 1), "energy", Cascade, "gaps along edges: a foundation is curved"),
@@ -124,9 +108,7 @@ ROUND = replace(pin(0.99, 2), law=Laplace(1.0), obstacle=rm.Obstacle("hole", (1.
         (FREE_RINGS, "energy", Fixed, "fixed: nodes on arcs that fit what they touch"),
     ],
 )
-def test_the_formulation_that_is_chosen_and_why(
-    problem: ContactProblem, objective: str, chosen: type, why: str
-) -> None:
+def test_the_formulation_that_is_chosen_and_why(problem, objective, chosen, why):
     choice = Auto().choose(problem, parse_objective(objective))
     assert type(choice.formulation) is chosen
     assert why in choice.why
@@ -144,7 +126,7 @@ def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
 
 @pytest.mark.usefixtures("estimates_unasked")
 def test_with_coulomb_friction_the_given_mesh_is_solved_and_an_objective_is_named() -> None:
-    example = EXAMPLES["6.3"]((4, 2))
+    example = rm.EXAMPLES["6.3"]((4, 2))
     rough = replace(example, obstacle=replace(example.obstacle, friction=0.0, coulomb=0.3))
     solution = rm.solve(rough)
     assert solution.success
@@ -156,7 +138,7 @@ def test_with_coulomb_friction_the_given_mesh_is_solved_and_an_objective_is_name
     assert f"(computed {solution.record()['resultant']:.6g})" in said
 
 
-def accurate(n: int) -> ContactProblem:
+def accurate(n: int) -> rm.ContactProblem:
     return replace(free(n), quadrature=8)
 
 
@@ -193,7 +175,7 @@ def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
     problem = accurate(6)
     solution = rm.solve(problem, Cascade(coarsest=12), limits=rm.Limits(iterations=2))
     row = solution.record()
-    assert (solution.status, row["valid"]) == (Status.ITERATION_LIMIT, True)
+    assert (solution.status, row["valid"]) == (rm.Status.ITERATION_LIMIT, True)
     assert [level["nodes"] for level in row["cascade"]] == [16]
     assert np.min(signed_areas(solution.mesh.p, problem.triangles)) > 0
     assert solution.assessment.gain_audited > 0
@@ -205,7 +187,7 @@ def test_from_its_end_newton_comes_to_a_stationary_point_in_as_few_solves() -> N
     problem = accurate(16)
     first = rm.solve(problem, "cascade")
     solution = rm.solve(problem, start=first)
-    assert first.status is not solution.status is Status.CONVERGED
+    assert first.status is not solution.status is rm.Status.CONVERGED
     assert solution.assessment.first_order.residual <= 1e-6
     assert solution.trace.work.contact_solves <= 2 * first.trace.work.contact_solves
     assert solution.energy_audited < first.energy_audited

@@ -1,7 +1,5 @@
 """What all formulations share: keywords, starts, limits, Ctrl-C, settings."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields, replace
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations.auto import Auto
 from formulations.cascade import Cascade, Descent
 from formulations.fixed import Fixed
@@ -19,13 +18,8 @@ from formulations.nested import Nested
 from formulations.outer_solvers import NestedSettings
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import Options
-from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.newton_step import NewtonSettings
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import Motion
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.formulation import KEYWORDS, options
 from rmesh_nlp.solving.parts import Step
@@ -56,7 +50,7 @@ WITH_STEPS = pytest.mark.parametrize(
 def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any) -> None:
     steps: list[Step] = []
     solution = formulation.solve(problem, limits={"iterations": 2}, tolerance=1e-5, on_step=steps.append)
-    assert solution.status is Status.ITERATION_LIMIT
+    assert solution.status is rm.Status.ITERATION_LIMIT
     assert solution.trace.iterations == steps[-1].iteration == 2
     assert solution.valid
     assert solution.energy < solution.energy_initial
@@ -68,7 +62,7 @@ def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any)
 @WITH_STEPS
 def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, problem: Any) -> None:
     late = formulation.solve(problem, limits={"seconds": 1e-6})
-    assert (late.status, late.valid, late.success) == (Status.TIME_LIMIT, True, True)
+    assert (late.status, late.valid, late.success) == (rm.Status.TIME_LIMIT, True, True)
     assert late.energy <= late.energy_initial + 1e-9
     assert late.record().get("error_reduction") is None
     seen: list[Step] = []
@@ -79,7 +73,7 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
             raise KeyboardInterrupt
 
     stopped = formulation.solve(problem, on_step=interrupt)
-    assert (stopped.status, stopped.valid) == (Status.INTERRUPTED, True)
+    assert (stopped.status, stopped.valid) == (rm.Status.INTERRUPTED, True)
     assert len(seen) >= 3
 
 
@@ -122,7 +116,7 @@ def test_an_error_of_on_step_reaches_the_caller(formulation: Any, problem: Any) 
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(keyword: str, bad: Any, message: str) -> None:
-    with pytest.raises(BadInputError, match=message):
+    with pytest.raises(rm.BadInputError, match=message):
         joint.solve(SMALL, **{keyword: bad})
 
 
@@ -145,9 +139,7 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
         pytest.param(mpcc, {"options": {"t0": 1e-3}}, marks=pytest.mark.slow),
     ],
 )
-def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the_path(
-    formulation: Any, settings: Any
-) -> None:
+def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the_path(formulation, settings):
     solution = formulation.solve(example("6.3", (4, 2)), **settings)
     assert solution.record()["settings"] == settings
     usual = solved(formulation.name, "6.3", (4, 2))
@@ -155,23 +147,23 @@ def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the
 
 
 def test_nothing_to_move_is_no_crash() -> None:
-    still = replace(SMALL, motion=Motion(0.1, pinned=tuple(range(SMALL.mesh.p.shape[1]))))
+    still = replace(SMALL, motion=rm.Motion(0.1, pinned=tuple(range(SMALL.mesh.p.shape[1]))))
     solution = nested.solve(still)
-    assert solution.status is Status.CONVERGED
+    assert solution.status is rm.Status.CONVERGED
     assert solution.energy == solution.energy_initial
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_one_contact_node_and_no_load_are_solved(formulation: Any) -> None:
-    assert np.isfinite(formulation.solve(EXAMPLES["6.1"](2)).energy)
+    assert np.isfinite(formulation.solve(rm.EXAMPLES["6.1"](2)).energy)
     unloaded = formulation.solve(replace(SMALL, tractions=()))
-    assert (unloaded.status, unloaded.success) == (Status.CONVERGED, True)
+    assert (unloaded.status, unloaded.success) == (rm.Status.CONVERGED, True)
 
 
 WRAPPERS = (MultiStart, Remeshed, Schedule)
 FORMS = (AllAtOnce, Auto, Cascade, Descent, Fixed, Joint, Nested, *WRAPPERS)
-KINDS = (NewtonSettings, *FORMS, NestedSettings, Options, Limits)
+KINDS = (NewtonSettings, *FORMS, NestedSettings, Options, rm.Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -188,12 +180,12 @@ def test_every_number_is_checked(kind: Any) -> None:
         default = getattr(usual, one.name)
         if isinstance(default, (int, float)) and not isinstance(default, bool):
             for bad in (-1.0, float("nan"), "1", True):
-                with pytest.raises(BadInputError, match=one.name):
+                with pytest.raises(rm.BadInputError, match=one.name):
                     usual.having({one.name: bad})
 
 
 def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(BadInputError, match=r"unknown setting 'forcin': did you mean forcing\?"):
+    with pytest.raises(rm.BadInputError, match=r"unknown setting 'forcin': did you mean forcing\?"):
         NestedSettings.of({"newton": {"forcin": 0.5}})
 
 
@@ -207,7 +199,7 @@ def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
     ],
 )
 def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:
-    with pytest.raises(BadInputError, match=next(iter(given))):
+    with pytest.raises(rm.BadInputError, match=next(iter(given))):
         kind.of(given)
 
 
@@ -227,7 +219,7 @@ def test_a_change_keeps_what_was_chosen_before() -> None:
     ],
 )
 def test_a_wrong_option_of_ipopt_is_named(option: dict[str, Any], message: str, capfd: Any) -> None:
-    with pytest.raises(BadInputError, match="ipopt must be options of Ipopt, which") as caught:
+    with pytest.raises(rm.BadInputError, match="ipopt must be options of Ipopt, which") as caught:
         Joint(ipopt=option)
     assert str(caught.value).endswith(message)
     assert capfd.readouterr().out == ""

@@ -1,7 +1,5 @@
 """Kinks: labels against a search of all branches, descents that go on from there, and how ends are judged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -21,9 +19,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.descent import Watch
 from rmesh_nlp.models.residual import Released
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.exploited import safe_discretisation
-from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
 from support.solved import example, solved
@@ -33,13 +29,13 @@ def leak(cost: float) -> str:
     return f"boundary(seal, {cost}*(y + uy) - y)"
 
 
-def solved_to(problem: ContactProblem, objective: str, formulation: str) -> tuple[rm.Solution, Array]:
+def solved_to(problem: rm.ContactProblem, objective: str, formulation: str) -> tuple[rm.Solution, Array]:
     solution = rm.solve(problem, formulation, objective=objective)
     return solution, Outer.of(problem).variables(np.asarray(solution.mesh.p))
 
 
 @cache
-def end_of_seal() -> tuple[ContactProblem, Array]:
+def end_of_seal() -> tuple[rm.ContactProblem, Array]:
     """A rough seal, and the edge at which ``mpcc`` ends: every node touches without force."""
     block = seal(3, 0.3)
     return block, solved_to(block, leak(2.0), "mpcc")[1]
@@ -92,9 +88,7 @@ def test_where_a_constraint_is_violated_no_branch_is_labelled() -> None:
 
 
 @pytest.mark.slow
-def test_a_finish_that_fails_is_not_taken_and_the_descent_that_is_left_is_said(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_finish_that_fails_is_not_taken_and_the_descent_that_is_left_is_said(monkeypatch):
     monkeypatch.setattr(module, "finished", lambda outer, q, monitor: Finished(q, False))
     solution = rm.solve(SEAL, "nested", objective=LEAK)
     row = solution.record()
@@ -117,7 +111,7 @@ def test_where_a_descent_creeps_the_finish_begins_at_its_best_point(monkeypatch:
 
     monkeypatch.setattr(outer_solvers, "solved", creeping)
     monkeypatch.setattr(module, "finished", lambda outer, q, monitor: begun.append(q) or Finished(q, False))
-    found = Nested().run(outer, start, Monitor())
+    found = Nested().run(outer, start, rm.Monitor())
     assert found.status is Status.STALLED
     np.testing.assert_array_equal(begun, [best])
     np.testing.assert_array_equal(found.q, best)
@@ -137,9 +131,7 @@ def test_for_the_energy_there_is_no_kink() -> None:
 
 
 @pytest.mark.slow
-def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_claim(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_claim(monkeypatch):
     problem, objective = example("6.3", (4, 2)), "mean(top, -uy)"
     outer = Outer.of(problem, objective)
     q = outer.variables(np.asarray(solved("nested", "6.3", (4, 2), objective=objective).mesh.p))
@@ -157,9 +149,7 @@ def _point(contact: int) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(("changes", "part"), [(True, 0.5), (True, 2.0), (False, 0.5)])
-def test_a_descent_creeps_if_hardly_anything_is_gained_and_contact_changes(
-    changes: bool, part: float
-) -> None:
+def test_a_descent_creeps_if_hardly_anything_is_gained_and_contact_changes(changes, part):
     tell, gain = Creeping(), part * CREEPING / WINDOW
     said = [tell(_point(0), 0.0, 1.0)]
     said += [tell(_point(k % 2 if changes else 0), 0.0, -gain * k) for k in range(1, 2 * WINDOW)]
@@ -178,7 +168,7 @@ def test_a_descent_ends_where_an_error_of_the_discretisation_is_minimised() -> N
     """By midpoints, without limits, nodes run away from where the load acts: its energy falls for ever."""
     coarse, coarser = (replace(rm.EXAMPLES["6.1"](n), motion=rm.Motion(None)) for n in (8, 4))
     for problem, ends in ((coarse, True), (safe_discretisation(coarser), False)):
-        outer, monitor = Outer.of(problem), Monitor()
+        outer, monitor = Outer.of(problem), rm.Monitor()
         found = Nested().run(outer, np.zeros(outer.n), monitor)
         assert found.details["outer"].endswith("was minimised") == ends
         rose = outer.continuous(found.q).energy >= outer.initial.energy

@@ -1,7 +1,5 @@
 """Joint, nested and mpcc: where they end, by which method, at what cost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,27 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations import outer_solvers
 from formulations.finish import finished
 from formulations.joint import Joint
 from formulations.mpcc import OPTIONS, AllAtOnce
 from formulations.nested import Nested
-from formulations.outer_solvers import INTERIOR, NEWTON, NestedSettings, OuterResult
+from formulations.outer_solvers import INTERIOR, NEWTON, NestedSettings
 from rmesh_nlp.evaluation import ROUNDING
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import is_valid, least_angles, least_area_ratio
-from rmesh_nlp.meshes import shapes
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.mpcc import RELAXATIONS
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Relative, Traction
-from rmesh_nlp.problem.coefficients import where
-from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
 from rmesh_nlp.solving.parts import Step
-from rmesh_nlp.solving.solution import Solution
 from support.designs import LOAD, block
 from support.formulations import joint, mpcc, nested
 from support.reduced import bumpy
@@ -41,17 +32,15 @@ from support.solved import example, solved
     [("6.1", (4,), 1e-3), ("6.3", ((4, 2),), 1e-3), ("6.2", ((6, 3), (1.0, 0.5)), 1e-4)],
     ids=["move limits", "friction", "areas"],
 )
-def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
-    example: str, arguments: tuple[Any, ...], tol: float
-) -> None:
+def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(example, arguments, tol):
     """With such a tolerance (a hundredth with areas) Ipopt stops near a stationary point, not at one."""
     steps: list[Step] = []
-    solution = joint.solve(EXAMPLES[example](*arguments), tol=tol, on_step=steps.append)
+    solution = joint.solve(rm.EXAMPLES[example](*arguments), tol=tol, on_step=steps.append)
     record = solution.record()
     newton = record["newton_steps"]
     ipopt = record["iterations"] - newton
     assert newton > 0
-    assert solution.status is Status.CONVERGED
+    assert solution.status is rm.Status.CONVERGED
     assert solution.history[-1].iteration == record["iterations"]
     assert record["kkt_factorisations"] in (ipopt, record["iterations"])  # with areas the steps are Ipopt's
     assert record["contact_solves"] > 2
@@ -63,33 +52,23 @@ def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
 
 @pytest.mark.slow
 def test_a_stationary_end_of_ipopt_is_left_as_it_is() -> None:
-    record = joint.solve(EXAMPLES["6.1"](4)).record()
+    record = joint.solve(rm.EXAMPLES["6.1"](4)).record()
     assert "newton_steps" not in record
     assert record["contact_solves"] == 2  # at its start and at its end
 
 
-def test_newton_steps_that_lead_up_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    outer = Outer.of(EXAMPLES["6.1"](4))
-    zero, asked = np.zeros(outer.n), []
-    back = OuterResult(zero, Status.CONVERGED, 0)
-    monkeypatch.setattr("formulations.finish.solved", lambda *_: asked.append(1) or back)
-    found = Joint(tol=1e-3).run(outer, zero, Monitor())
-    assert asked
-    assert outer.energy(found.q).value < outer.energy(zero).value
-
-
 def test_an_end_above_where_it_began_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither of the finish, nor of an interior point, whatever the solver says."""
-    outer = Outer.of(EXAMPLES["6.2"]((4, 2), 0.6))
-    least = Nested().run(outer, np.zeros(outer.n), Monitor()).q
+    outer = Outer.of(rm.EXAMPLES["6.2"]((4, 2), 0.6))
+    least = Nested().run(outer, np.zeros(outer.n), rm.Monitor()).q
     monkeypatch.setattr("formulations.finish._newton", lambda *_: (higher, "steps that lead up"))
     higher, near = least / 2, least * (1 - 1e-4)
     assert outer.energy(higher).value > outer.energy(near).value
-    np.testing.assert_array_equal(finished(outer, near, Monitor()).q, near)
-    end = SimpleNamespace(x=higher, f=0.0, converged=True, status=Status.CONVERGED, iterations=1)
+    np.testing.assert_array_equal(finished(outer, near, rm.Monitor()).q, near)
+    end = SimpleNamespace(x=higher, f=0.0, converged=True, status=rm.Status.CONVERGED, iterations=1)
     monkeypatch.setattr(outer_solvers, "Solver", lambda *_, **__: lambda *_, **__: end)
     found = outer_solvers.interior(outer, near, lambda *_: False, NestedSettings())
-    assert (found.is_lower, found.status) == (False, Status.STALLED)
+    assert (found.is_lower, found.status) == (False, rm.Status.STALLED)
     np.testing.assert_array_equal(found.q, near)
 
 
@@ -102,19 +81,17 @@ def test_an_end_above_where_it_began_is_none(monkeypatch: pytest.MonkeyPatch) ->
         (Nested(ipopt={"mu_init": 10.0, "bound_push": 0.1, "max_iter": 3}), 3, 0.3, 3),
     ],
 )
-def test_from_a_minimiser_the_barrier_leads_to_none_above_it(
-    formulation: Joint | AllAtOnce, n: int, delta: float, seed: int
-) -> None:
-    outer = Outer.of(EXAMPLES["6.1"](n, delta))
-    least = Nested().run(outer, outer.variables(seed=seed), Monitor()).q
-    found = formulation.run(outer, least, Monitor())
+def test_from_a_minimiser_the_barrier_leads_to_none_above_it(formulation, n, delta, seed):
+    outer = Outer.of(rm.EXAMPLES["6.1"](n, delta))
+    least = Nested().run(outer, outer.variables(seed=seed), rm.Monitor()).q
+    found = formulation.run(outer, least, rm.Monitor())
     assert outer.energy(found.q).value <= outer.energy(least).value * (1 - 1e-9)  # both are negative
 
 
 def block_of_length(length: float) -> ContactProblem:
     """The block of the README, 6 x 2 squares, at a size of ``length``, under the same strains."""
     return ContactProblem(
-        mesh=shapes.rectangle(6, 2, x=(0, 4 * length), y=(0, length)),
+        mesh=rm.shapes.rectangle(6, 2, x=(0, 4 * length), y=(0, length)),
         law=PlaneStrain.from_young(young=21600, poisson=0.3),
         dirichlet=("left",),
         obstacle=Obstacle.graph("bottom", lambda x, y: -0.02 * length - 0.01 * x**2 / length, friction=10.0),
@@ -140,13 +117,13 @@ def test_joint_ends_as_well_in_any_unit_of_length(usual: float, length: float) -
 
 
 def with_areas(name: str) -> ContactProblem:
-    return EXAMPLES[name]((6, 3), (1.0, 0.5))
+    return rm.EXAMPLES[name]((6, 3), (1.0, 0.5))
 
 
-def settled(problem: ContactProblem, **options: Any) -> Solution:
+def settled(problem: ContactProblem, **options: Any) -> rm.Solution:
     """Converged to a stationary point, its iterations numbered in order."""
     solution = nested.solve(problem, **options)
-    assert solution.status is Status.CONVERGED
+    assert solution.status is rm.Status.CONVERGED
     numbers = [step.iteration for step in solution.history]
     assert numbers == sorted(numbers)
     return solution
@@ -168,10 +145,8 @@ def test_few_contact_solves_lead_to_a_stationary_point_within_area_constraints(n
 
 
 @pytest.mark.slow
-def test_another_objective_of_many_variables_takes_newton_along_areas(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    problem, sag = EXAMPLES["6.2"]((4, 2), 0.4), "mean(top, -uy)"
+def test_another_objective_of_many_variables_takes_newton_along_areas(monkeypatch):
+    problem, sag = rm.EXAMPLES["6.2"]((4, 2), 0.4), "mean(top, -uy)"
     best = settled(problem, objective=sag).record()
     monkeypatch.setattr(outer_solvers, "LARGEST_DENSE", 1)
     row = nested.solve(problem, objective=sag).record()
@@ -190,11 +165,11 @@ def test_newton_converges_with_gaps_along_edges(friction: float) -> None:
 
 @pytest.mark.slow
 def test_thousands_of_variables_without_move_limits_take_a_contact_solve_per_iteration() -> None:
-    problem = EXAMPLES["6.1"](40)
+    problem = rm.EXAMPLES["6.1"](40)
     problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
     solution = nested.solve(problem, limits={"iterations": 6})
     assert solution.multipliers.area.size > 3000
-    assert (solution.status, solution.success) == (Status.ITERATION_LIMIT, True)
+    assert (solution.status, solution.success) == (rm.Status.ITERATION_LIMIT, True)
     assert solution.trace.iterations <= 6
     assert solution.trace.work.contact_solves <= 20
     assert solution.energy < solution.energy_initial
@@ -202,7 +177,7 @@ def test_thousands_of_variables_without_move_limits_take_a_contact_solve_per_ite
 
 @pytest.mark.slow
 def test_newton_converges_where_angles_are_at_their_bounds() -> None:
-    problem = replace(EXAMPLES["6.1"](6, 0.08), motion=Motion(0.08, min_angle=30.0))
+    problem = replace(rm.EXAMPLES["6.1"](6, 0.08), motion=Motion(0.08, min_angle=30.0))
     solution = nested.solve(problem)
     assert solution.success
     assert solution.assessment.first_order.residual <= TOLERANCE
@@ -213,13 +188,11 @@ def test_newton_converges_where_angles_are_at_their_bounds() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", [joint, nested])
-def test_where_the_interior_point_leaves_the_valley_of_the_start_newton_lowers_the_energy(
-    formulation: Any,
-) -> None:
+def test_where_the_interior_point_leaves_the_valley_of_the_start_newton_lowers_the_energy(formulation):
     """The load jumps within triangles, so the energy of the rule jumps with the positions."""
     problem = ContactProblem(
-        rectangle(3, 3, x=(0, 2)),
-        Laplace(lambda x, y: where(x > 1.21, -2.0, -3.0)),
+        rm.shapes.rectangle(3, 3, x=(0, 2)),
+        Laplace(lambda x, y: rm.where(x > 1.21, -2.0, -3.0)),
         ("left",),
         Obstacle("right", (1.0,), 0.05),
         Motion(None),
@@ -303,7 +276,7 @@ def test_what_is_solved_first_is_named(start: str) -> None:
 def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) -> None:
     # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there
     end = solved("nested", name)
-    certified = mpcc.solve(EXAMPLES[name](), start=end)
+    certified = mpcc.solve(rm.EXAMPLES[name](), start=end)
     # other minima are a tenth of an edge away; along flat directions nested is exact to a thousandth of one
     np.testing.assert_allclose(certified.mesh.p, end.mesh.p, atol=1e-3)
     assert certified.energy == pytest.approx(end.energy, rel=1e-9)
@@ -328,12 +301,9 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("formulation", "name", "n"),
-    [(mpcc, "6.1", 3), (joint, "6.2", (4, 2))],
-)
+@pytest.mark.parametrize(("formulation", "name", "n"), [(mpcc, "6.1", 3), (joint, "6.2", (4, 2))])
 def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, name: str, n: Any) -> None:
-    given = EXAMPLES[name](n)
+    given = rm.EXAMPLES[name](n)
     problem = replace(given, motion=replace(given.motion, delta=None))
     positions, steps = MeshMap.of(problem).positions, []
     solution = formulation.solve(problem, limits={"iterations": 250}, on_step=steps.append)
@@ -343,19 +313,17 @@ def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, nam
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("order", "kept"), [((0.9, 0.1), 1), ((0.1, 0.9), 0)])
-def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
-    order: tuple[float, float], kept: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(order, kept, monkeypatch):
     outer, near = Outer.of(block(LOAD), "compliance"), []
     ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
 
-    def path(_: AllAtOnce, at: Outer, q: Any, monitor: Monitor, *most: Any) -> Outcome:
+    def path(_: AllAtOnce, at: Outer, q: Any, monitor: rm.Monitor, *most: Any) -> rm.Outcome:
         near.append(at.is_near)
         monitor.note(Step(len(near), *6 * [1.0]))
-        return Outcome(at, ends[(len(near) - 1) % 2] if at.problem.design else q, Status.CONVERGED)
+        return rm.Outcome(at, ends[(len(near) - 1) % 2] if at.problem.design else q, rm.Status.CONVERGED)
 
     monkeypatch.setattr(AllAtOnce, "_path", path)
-    monitor = Monitor()
+    monitor = rm.Monitor()
     assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).q is ends[kept]
     assert near == [False, True]
     # the history of the path that is kept; of the first one its end after the second's iterations as well
@@ -364,10 +332,10 @@ def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
     plain = Outer.of(coarse("6.3"), "mean(top, -uy)")
     for formulation, problem in ((AllAtOnce(twice=False), outer), (AllAtOnce(), plain)):
         near.clear()
-        assert formulation.run(problem, np.zeros(problem.n), Monitor()).status is Status.CONVERGED
+        assert formulation.run(problem, np.zeros(problem.n), rm.Monitor()).status is rm.Status.CONVERGED
         assert near == [False]
     # ends at no mesh, where there is no contact solution to report
-    ends, monitor = 2 * [np.full(outer.n, 1e3)], Monitor()
+    ends, monitor = 2 * [np.full(outer.n, 1e3)], rm.Monitor()
     near.clear()
     assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).q is ends[0]
     assert [step.iteration for step in monitor.steps] == [1]

@@ -1,7 +1,5 @@
 """Where nodes may move, what is pinned, slides, is free or tied, and which elements are valid."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,30 +11,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import area_ratios, is_valid
 from rmesh_nlp.meshes import from_arrays, named
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PiecewiseLinear,
-    PlaneStrain,
-    Relative,
-)
+from rmesh_nlp.problem import PiecewiseLinear
 from rmesh_nlp.problem.body import Body
 from support.designs import BOW, block
 from support.formulations import joint, nested
 
 
 def test_nodes_keep_to_their_sides_and_move_limits() -> None:
-    problem = EXAMPLES["6.1"]()
+    problem = rm.EXAMPLES["6.1"]()
     free = MeshMap.of(problem)
     assert free.n == 126  # as the paper counts
     x, y = problem.mesh.p
@@ -48,7 +36,7 @@ def test_nodes_keep_to_their_sides_and_move_limits() -> None:
     assert np.max(np.abs(moved - problem.mesh.p)) <= 0.0275 * (1 + 1e-12)
 
 
-def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: ContactProblem) -> None:
+def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: rm.ContactProblem) -> None:
     free = MeshMap.of(sloped)
     alpha = sloped.obstacle.offset
     for sign in (-1.0, 1.0):
@@ -74,8 +62,8 @@ def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: fl
     inside = mesh.interior_nodes()
     p = mesh.p.copy()
     p[:, inside] += rng.uniform(-0.05, 0.05, (2, inside.size))
-    base = EXAMPLES["6.1"](4)
-    motion = Motion((fraction_of_h / 4, fraction_of_h / 3))
+    base = rm.EXAMPLES["6.1"](4)
+    motion = rm.Motion((fraction_of_h / 4, fraction_of_h / 3))
     problem = replace(base, mesh=replace(mesh, doflocs=p), dirichlet=("held",), motion=motion)
     free = MeshMap.of(problem)
     ratio = area_ratios(problem, free.positions.values(np.sign(rng.uniform(-1, 1, free.n))))
@@ -85,7 +73,7 @@ def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: fl
 
 def test_elements_with_a_validity_row_can_fail() -> None:
     """Each of them does at some corner of its move limits: none is watched for nothing."""
-    problem = EXAMPLES["6.1"](4, 0.11)
+    problem = rm.EXAMPLES["6.1"](4, 0.11)
     free = MeshMap.of(problem)
     watched = discretise(problem).validity.elements
     assert 0 < watched.size < problem.mesh.t.shape[1]
@@ -98,13 +86,13 @@ def test_elements_with_a_validity_row_can_fail() -> None:
         assert min(ratios) < problem.motion.min_area_fraction
 
 
-def problem(motion: Motion) -> ContactProblem:
-    return ContactProblem(mesh=rectangle(2, 2), law=Laplace(-1.0), dirichlet=("left",), motion=motion)
+def problem(motion: rm.Motion) -> rm.ContactProblem:
+    return rm.ContactProblem(mesh=rectangle(2, 2), law=rm.Laplace(-1.0), dirichlet=("left",), motion=motion)
 
 
 def squeezed(to: float) -> np.ndarray:
     """Nodes with the middle one at the height ``to``: the least element has 2 ``to`` of its area."""
-    nodes = np.array(problem(Motion(delta=None)).mesh.p)
+    nodes = np.array(problem(rm.Motion(delta=None)).mesh.p)
     middle = np.flatnonzero(np.all(nodes == 0.5, axis=0))
     assert middle.size == 1
     nodes[1, middle] = to
@@ -125,7 +113,7 @@ def squeezed(to: float) -> np.ndarray:
 )
 def test_a_least_area_is_a_fraction_of_the_given_one(height: float, upright: bool, valid: bool) -> None:
     """With a barrier a positive area is enough."""
-    given, nodes = problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)
+    given, nodes = problem(rm.Motion(delta=None, min_area_fraction=0.1)), squeezed(height)
     assert Body(given, nodes).is_upright() is upright
     assert is_valid(given, nodes) is valid
     assert is_valid(given, nodes, by_barrier=True) is upright
@@ -134,8 +122,8 @@ def test_a_least_area_is_a_fraction_of_the_given_one(height: float, upright: boo
 def test_an_element_that_its_arc_cuts_is_not_valid_whatever_its_area() -> None:
     """Outside the unit circle, which lies between the chord of two nodes and the third one."""
     mesh = from_arrays([[1, 0], [2, 2], [0, 1]], [[0, 1, 2]], {"arc": lambda X: X.sum(axis=0) < 1.1})
-    motion = Motion(None, curves={"arc": Circle((0.0, 0.0), 1.0)})
-    problem, nodes = ContactProblem(mesh, Laplace(1.0), ("arc",), motion=motion), np.array(mesh.p)
+    motion = rm.Motion(None, curves={"arc": rm.Circle((0.0, 0.0), 1.0)})
+    problem, nodes = rm.ContactProblem(mesh, rm.Laplace(1.0), ("arc",), motion=motion), np.array(mesh.p)
     far = np.flatnonzero(nodes.sum(axis=0) > 3)
     for place, valid in ((1.5, True), (0.6, False)):
         nodes[:, far] = place
@@ -145,16 +133,16 @@ def test_an_element_that_its_arc_cuts_is_not_valid_whatever_its_area() -> None:
 
 @pytest.mark.parametrize("by_barrier", [False, True])
 def test_a_least_angle_holds_with_and_without_a_barrier(by_barrier: bool) -> None:
-    motion = Motion(delta=None, min_area_fraction=0.01, min_angle=20.0)
+    motion = rm.Motion(delta=None, min_area_fraction=0.01, min_angle=20.0)
     assert is_valid(problem(motion), squeezed(0.5), by_barrier=by_barrier)
     assert not is_valid(problem(motion), squeezed(0.1), by_barrier=by_barrier)
     assert is_valid(problem(replace(motion, min_angle=0.0)), squeezed(0.1), by_barrier=by_barrier)
 
 
 def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
-    plain = discretise(problem(Motion(0.01)))
+    plain = discretise(problem(rm.Motion(0.01)))
     assert plain.validity.size == 0  # move limits keep all areas
-    validity = discretise(problem(Motion(0.01, min_angle=20.0))).validity
+    validity = discretise(problem(rm.Motion(0.01, min_angle=20.0))).validity
     moves = np.any(plain.mesh_map.positions.index >= 0, axis=0)
     assert validity.elements.size == np.sum(np.any(moves[plain.problem.triangles], axis=0)) > 0
 
@@ -162,7 +150,7 @@ def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
 @pytest.mark.parametrize("min_angle", [0.0, 5.0])
 def test_elements_that_a_shape_moves_have_a_row(min_angle: float) -> None:
     """No node moves but by the shape."""
-    design = replace(block(BOW), motion=Motion(0, min_angle=min_angle))
+    design = replace(block(BOW), motion=rm.Motion(0, min_angle=min_angle))
     free, triangles = MeshMap.of(design), design.triangles
     # the last unknowns are the design variables, in units of half the width of their bounds
     count = len(design.design)
@@ -173,25 +161,25 @@ def test_elements_that_a_shape_moves_have_a_row(min_angle: float) -> None:
     np.testing.assert_array_equal(discretise(design).validity.elements, expected)
 
 
-def two_halves(motion: Motion, **changes: object) -> ContactProblem:
+def two_halves(motion: rm.Motion, **changes: object) -> rm.ContactProblem:
     """A rectangle (0, 3) x (0, 1) of two subdomains that meet at x = 1.5, loaded on top for x > 2."""
     mesh = named(
         rectangle(6, 4, x=(0, 3)),
         {"load": lambda p: (p[1] == 1) & (p[0] > 2)},
         {"a": lambda p: p[0] < 1.5, "b": lambda p: p[0] > 1.5},
     )
-    return replace(ContactProblem(mesh, Laplace(1.0), ("left",), motion=motion), **changes)
+    return replace(rm.ContactProblem(mesh, rm.Laplace(1.0), ("left",), motion=motion), **changes)
 
 
-def node(p: ContactProblem, x: float, y: float) -> int:
+def node(p: rm.ContactProblem, x: float, y: float) -> int:
     (found,) = np.flatnonzero(np.isclose(p.mesh.p[0], x) & np.isclose(p.mesh.p[1], y))
     return int(found)
 
 
-GIVEN = two_halves(Motion(0.1))
+GIVEN = two_halves(rm.Motion(0.1))
 MIDDLE, SIDE, END, INNER = (node(GIVEN, x, y) for x, y in ((1, 0.5), (1, 0), (2, 1), (1.5, 0.5)))
 WEDGE = PiecewiseLinear((0.0, 1.0, 3.0), (-0.1, -0.05, -0.2))
-GIVEN_ON_THE_RIGHT = {"dirichlet": ("left", Dirichlet("right", lambda x, y: y * (1 - y)))}
+GIVEN_ON_THE_RIGHT = {"dirichlet": ("left", rm.Dirichlet("right", lambda x, y: y * (1 - y)))}
 CORNER = {"a": lambda p: (p[0] > 1.5) & (p[1] > 0.5)}
 WITH_A_CORNER = named(rectangle(6, 4, x=(0, 3)), subdomains=CORNER)
 FREE, SLIDING, PINNED = Mobility.FREE, Mobility.SLIDING, Mobility.PINNED
@@ -204,19 +192,19 @@ FREE, SLIDING, PINNED = Mobility.FREE, Mobility.SLIDING, Mobility.PINNED
         ({}, dict.fromkeys([(0, 0), (3, 1), (2, 1), (1.5, 0), (1.5, 1)], PINNED)),
         ({}, {(1, 0.5): FREE} | dict.fromkeys([(1.5, 0.25), (1.5, 0.75), (1, 0), (0, 0.5)], SLIDING)),
         (
-            {"law": PlaneStrain(1.0, 1.0), "obstacle": Obstacle.graph("bottom", WEDGE)},
+            {"law": rm.PlaneStrain(1.0, 1.0), "obstacle": rm.Obstacle.graph("bottom", WEDGE)},
             {(1, 0): PINNED, (2, 0): SLIDING},  # a kink of the foundation
         ),
         # the corner of an interface inside
-        ({"mesh": WITH_A_CORNER, "law": Laplace(1.0)}, {(1.5, 0.5): PINNED, (2, 0.5): SLIDING}),
+        ({"mesh": WITH_A_CORNER, "law": rm.Laplace(1.0)}, {(1.5, 0.5): PINNED, (2, 0.5): SLIDING}),
         (GIVEN_ON_THE_RIGHT, {(3, 0.25): PINNED, (3, 0.5): PINNED, (3, 0.75): PINNED, (0, 0.5): SLIDING}),
         (
-            {"motion": Motion(0.1, pinned=("bottom", MIDDLE), slides=(END, SIDE), free=INNER)},
+            {"motion": rm.Motion(0.1, pinned=("bottom", MIDDLE), slides=(END, SIDE), free=INNER)},
             # on a straight piece, although a part ends there; a number beats a name
             {(2, 1): SLIDING, (1, 0.5): PINNED, (1, 0): SLIDING, (2, 0): PINNED, (1.5, 0.5): FREE},
         ),
-        ({"motion": Motion(0.1, pinned="top", slides="top", free="top")}, {(1, 1): PINNED}),
-        ({"motion": Motion(0.1, slides=np.int64(SIDE), free=SIDE)}, {(1, 0): SLIDING}),
+        ({"motion": rm.Motion(0.1, pinned="top", slides="top", free="top")}, {(1, 1): PINNED}),
+        ({"motion": rm.Motion(0.1, slides=np.int64(SIDE), free=SIDE)}, {(1, 0): SLIDING}),
     ],
 )
 def test_mobility(change: dict, expected: dict) -> None:
@@ -227,8 +215,8 @@ def test_mobility(change: dict, expected: dict) -> None:
 
 def test_nodes_of_an_interface_slide_along_it_and_limits_may_follow_the_shortest_edge() -> None:
     inside = [node(GIVEN, 1.5, y) for y in (0.25, 0.5, 0.75)]
-    for delta, limit in ((0.1, 0.1), (Relative(0.4), 0.4 * 0.25)):
-        free = MeshMap.of(two_halves(Motion(delta)))
+    for delta, limit in ((0.1, 0.1), (rm.Relative(0.4), 0.4 * 0.25)):
+        free = MeshMap.of(two_halves(rm.Motion(delta)))
         shift = free.positions.values(np.ones(free.n)) - GIVEN.mesh.p
         np.testing.assert_array_equal(shift[0, inside], 0)
         np.testing.assert_allclose(shift[1, inside], limit)
@@ -244,9 +232,9 @@ def test_node_slides_where_its_piece_is_straight(bend: float, mobility: Mobility
 
 
 def test_tied_node_moves_as_its_leader() -> None:
-    p = two_halves(Motion(0.1))
+    p = two_halves(rm.Motion(0.1))
     pairs = ((node(p, 1, 0.25), node(p, 1, 0.5)), (node(p, 1, 0), node(p, 1, 1)))
-    free = MeshMap.of(replace(p, motion=Motion(0.1, tied=pairs)))
+    free = MeshMap.of(replace(p, motion=rm.Motion(0.1, tied=pairs)))
     assert free.n == MeshMap.of(p).n - 3
     move = free.positions.values(np.random.default_rng(0).uniform(-1, 1, free.n)) - p.mesh.p
     for tied, leader in pairs:
@@ -254,14 +242,14 @@ def test_tied_node_moves_as_its_leader() -> None:
         assert np.any(move[:, tied] != 0)
 
 
-def beside_a_circle(**rules: object) -> ContactProblem:
+def beside_a_circle(**rules: object) -> rm.ContactProblem:
     """Left of the unit circle: node 1 where its angle jumps, node 4 on a straight side along its tangent."""
     angle = np.deg2rad([170.0, 180.0, 190.0])
     nodes = [*zip(np.cos(angle), np.sin(angle), strict=True), (-2, 0.5), (-2, 0), (-2, -0.5)]
     triangles = [[0, 4, 1], [0, 3, 4], [1, 5, 2], [1, 4, 5]]
     mesh = from_arrays(nodes, triangles, {"arc": lambda X: np.hypot(*X) < 1.01})
-    motion = Motion(None, curves={"arc": Circle((0.0, 0.0), 1.0)}, **rules)
-    return ContactProblem(mesh, Laplace(1.0), ("arc",), motion=motion)
+    motion = rm.Motion(None, curves={"arc": rm.Circle((0.0, 0.0), 1.0)}, **rules)
+    return rm.ContactProblem(mesh, rm.Laplace(1.0), ("arc",), motion=motion)
 
 
 def test_unknowns_of_positions_are_those_they_come_from_also_where_an_angle_jumps() -> None:
@@ -275,15 +263,15 @@ def test_unknowns_of_positions_are_those_they_come_from_also_where_an_angle_jump
 @pytest.mark.parametrize(
     ("motion", "change", "message"),
     [
-        (Motion(0.1, slides=0), {}, "is to slide, but it is on no straight piece"),
-        (Motion(0.1, slides=MIDDLE), {}, "is to slide"),
-        (Motion(0.1, tied=((16, 16),)), {}, "tied itself"),
-        (Motion(0.1, tied=((16, 17), (18, 16))), {}, "tied itself"),
-        (Motion(0.1, tied=((5, MIDDLE),)), {}, "cannot make the moves"),
-        (Motion(0.1, slides="right"), GIVEN_ON_THE_RIGHT, "is held at a function of position and"),
+        (rm.Motion(0.1, slides=0), {}, "is to slide, but it is on no straight piece"),
+        (rm.Motion(0.1, slides=MIDDLE), {}, "is to slide"),
+        (rm.Motion(0.1, tied=((16, 16),)), {}, "tied itself"),
+        (rm.Motion(0.1, tied=((16, 17), (18, 16))), {}, "tied itself"),
+        (rm.Motion(0.1, tied=((5, MIDDLE),)), {}, "cannot make the moves"),
+        (rm.Motion(0.1, slides="right"), GIVEN_ON_THE_RIGHT, "is held at a function of position and"),
     ],
 )
-def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, message: str) -> None:
+def test_rules_that_cannot_be_obeyed_are_named(motion: rm.Motion, change: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         MeshMap.of(replace(GIVEN, motion=motion, **change))
 
@@ -291,39 +279,39 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Motion(-0.1), "delta must be positive and finite, or 0, got -0.1"),
-        (lambda: Motion((0.0, 0.1)), r"delta must be positive and finite, or 0, got \(0.0, 0.1\)"),
-        (lambda: Motion((0.1, np.inf)), r"got \(0.1, inf\)"),
-        (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
-        (lambda: Motion(Relative(0.0)), "relative must be positive and finite, got 0.0"),
-        (lambda: Motion(Relative(1.1)), "relative must be a part of .*, at most 1, got 1.1"),
-        (lambda: Motion(0.1, min_area_fraction=1.0), "min_area_fraction must be below 1, got 1.0"),
+        (lambda: rm.Motion(-0.1), "delta must be positive and finite, or 0, got -0.1"),
+        (lambda: rm.Motion((0.0, 0.1)), r"delta must be positive and finite, or 0, got \(0.0, 0.1\)"),
+        (lambda: rm.Motion((0.1, np.inf)), r"got \(0.1, inf\)"),
+        (lambda: rm.Motion((1, 2, 3)), "two numbers, Relative or None, got"),
+        (lambda: rm.Motion(rm.Relative(0.0)), "relative must be positive and finite, got 0.0"),
+        (lambda: rm.Motion(rm.Relative(1.1)), "relative must be a part of .*, at most 1, got 1.1"),
+        (lambda: rm.Motion(0.1, min_area_fraction=1.0), "min_area_fraction must be below 1, got 1.0"),
+        (lambda: rm.Motion(0.1, min_area_fraction=0.0), "area_fraction must be positive and finite, got 0.0"),
+        (lambda: rm.Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
+        (lambda: rm.Motion(0.1, min_angle=-1.0), "at least 0"),
         (
-            lambda: Motion(0.1, min_area_fraction=0.0),
-            "area_fraction must be positive and finite, got 0.0",
+            lambda: rm.Motion(0.1, pinned=(1.5,)),
+            "pinned must be names of boundaries or node numbers, got 1.5",
         ),
-        (lambda: Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
-        (lambda: Motion(0.1, min_angle=-1.0), "at least 0"),
-        (lambda: Motion(0.1, pinned=(1.5,)), "pinned must be names of boundaries or node numbers, got 1.5"),
-        (lambda: Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
-        (lambda: Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
+        (lambda: rm.Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
+        (lambda: rm.Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
     ],
 )
-def test_bad_motions_are_named(make: Callable[[], Motion], message: str) -> None:
+def test_bad_motions_are_named(make: Callable[[], rm.Motion], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
 
 def test_motion_as_plain_values() -> None:
-    deltas = [Motion(d).delta_record() for d in (0.1, (0.1, 0.2), Relative(0.3), None)]
+    deltas = [rm.Motion(d).delta_record() for d in (0.1, (0.1, 0.2), rm.Relative(0.3), None)]
     assert deltas == [[0.1, 0.1], [0.1, 0.2], {"relative": 0.3}, None]
-    motion = Motion(None, pinned=("a", 1), slides=2, free="b", tied=((3, 4),))
+    motion = rm.Motion(None, pinned=("a", 1), slides=2, free="b", tied=((3, 4),))
     assert motion.numbers == (1, 2, 3, 4)
 
 
 @pytest.mark.slow
 def test_without_move_limits_validity_alone_limits() -> None:
-    p = two_halves(Motion(None, min_area_fraction=0.3), law=Laplace(lambda x, y: 100 * x**4))
+    p = two_halves(rm.Motion(None, min_area_fraction=0.3), law=rm.Laplace(lambda x, y: 100 * x**4))
     free = MeshMap.of(p)
     assert np.all(np.isinf(free.upper))
     assert discretise(p).validity.size == p.mesh.t.shape[1]
@@ -338,6 +326,6 @@ def test_without_move_limits_validity_alone_limits() -> None:
     assert multipliers.area.max() > 0
     # an envelope theorem: the energy falls at the sum of the multipliers when the bound is lowered
     step = 1e-4
-    wider = replace(p, motion=Motion(None, min_area_fraction=0.3 - step))
+    wider = replace(p, motion=rm.Motion(None, min_area_fraction=0.3 - step))
     looser = nested.solve(wider, start=one.mesh.p)  # a descent stays in the same basin
     assert (one.energy - looser.energy) / step == pytest.approx(multipliers.area.sum(), rel=0.05)

@@ -1,18 +1,15 @@
 """Descents with a distortion, the first-order residual, and multipliers of bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations.nested import Nested
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.distortion import distortion
 from rmesh_nlp.fem.fields import Fields, constant_field
@@ -23,10 +20,6 @@ from rmesh_nlp.models.descent import KEPT, longest_valid, node_widths
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
 from rmesh_nlp.models.residual import OuterResidual, Released, released, size_of
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import Motion
-from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.contact_geometry import block_sliding_on_a_circle
 from support.curved import HOLE, plate
@@ -47,11 +40,11 @@ def test_distortions_of_a_stretched_mesh_by_hand() -> None:
 
 
 def test_widths_are_heights_in_units_of_the_outer_variables() -> None:
-    for legs, problem in ((1 / 4, EXAMPLES["6.1"](n=4)), (1 / 8, EXAMPLES["6.1"](n=8))):
-        rel = relocation(replace(problem, motion=Motion(None)))
+    for legs, problem in ((1 / 4, rm.EXAMPLES["6.1"](n=4)), (1 / 8, rm.EXAMPLES["6.1"](n=8))):
+        rel = relocation(replace(problem, motion=rm.Motion(None)))
         # right isosceles triangles, moves in units of the shortest edge: all heights are alike
         np.testing.assert_allclose(node_widths(rel, np.zeros(rel.parts.n_q)), np.sqrt(0.5))
-        limited = relocation(replace(problem, motion=Motion((0.02, 0.01))))
+        limited = relocation(replace(problem, motion=rm.Motion((0.02, 0.01))))
         width = node_widths(limited, np.zeros(limited.parts.n_q))
         index = limited.parts.mesh_map.positions.index
         height = legs * np.sqrt(0.5)
@@ -77,11 +70,11 @@ def test_steps_are_cut_where_an_element_would_lose_most_of_its_area(length: floa
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("6.1", 3), ("6.1", 5), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_nested_ends_at_a_minimum_with_a_distortion(name: str, size: int | tuple[int, int]) -> None:
-    energy = with_distortion(replace(no_move_limits(EXAMPLES[name](n=size)), quadrature=6))
-    outer, steps = Outer.of(energy.relocation.parts.problem, energy.relocation.objective), list[Step]()
+    energy = with_distortion(replace(no_move_limits(rm.EXAMPLES[name](n=size)), quadrature=6))
+    outer, steps = rm.Outer.of(energy.relocation.parts.problem, energy.relocation.objective), list[Step]()
     start = np.zeros(outer.n)
-    end = Nested().run(outer, start, Monitor(on_step=steps.append))
-    assert end.status is Status.CONVERGED
+    end = Nested().run(outer, start, rm.Monitor(on_step=steps.append))
+    assert end.status is rm.Status.CONVERGED
     assert outer.residual(energy(end.q)) <= 1e-6
     assert steps[-1].iteration == len(steps) - 1
     assert energy(end.q).value < energy(start).value
@@ -94,7 +87,7 @@ def test_nested_ends_at_a_minimum_with_a_distortion(name: str, size: int | tuple
 @pytest.mark.slow
 def test_the_gain_is_estimated_well_where_the_error_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a refined mesh, or by interpolation where none can be solved."""
-    problem = replace(no_move_limits(EXAMPLES["6.1"](n=16)), quadrature=8)
+    problem = replace(no_move_limits(rm.EXAMPLES["6.1"](n=16)), quadrature=8)
     solver = ContactSolver(problem)
     error = admissible(solver.discretisation).energy - problem.exact.energy
     assert gain_estimate(solver) == pytest.approx(error, rel=0.1)
@@ -104,7 +97,7 @@ def test_the_gain_is_estimated_well_where_the_error_is_known(monkeypatch: pytest
 
 @pytest.mark.parametrize("bad", [-1.0, float("nan"), (), (0.0, 1.0), "much", (1.0, None), float("inf")])
 def test_bad_weights_are_refused(bad: object) -> None:
-    with pytest.raises(BadInputError, match="regularisation"):
+    with pytest.raises(rm.BadInputError, match="regularisation"):
         weights(bad)  # type: ignore[arg-type]
 
 
@@ -112,12 +105,12 @@ def test_weights_and_objectives() -> None:
     assert (weights(0.01), weights((1, 0.1, 0)), weights("1, 0.1")) == ((0.01,), (1.0, 0.1, 0.0), (1.0, 0.1))
     assert regularised(2.0, 0, "quality").is_energy
     assert regularised(2.0, 0.1, "quality").text == "energy + 0.2*quality"
-    with pytest.raises(BadInputError, match="oval"):
+    with pytest.raises(rm.BadInputError, match="oval"):
         regularised(2.0, 0.1, "oval")
 
 
 def test_relative_residual_is_one_on_given_mesh_and_less_where_bounds_hold_back() -> None:
-    outer = Outer.of(EXAMPLES["6.1"](3))
+    outer = rm.Outer.of(rm.EXAMPLES["6.1"](3))
     point = outer.energy(np.zeros(outer.n))
     residual = outer.residual
     assert residual(point) == pytest.approx(1.0)
@@ -132,7 +125,7 @@ def test_relative_residual_is_one_on_given_mesh_and_less_where_bounds_hold_back(
 
 
 def test_the_unit_has_a_floor_in_units_of_the_objective() -> None:
-    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
+    outer = rm.Outer.of(rm.EXAMPLES["6.2"]((4, 2)))
     point = outer.energy(np.zeros(outer.n))
     still = replace(point, gradient=0 * point.gradient)
     strain = 0.5 * point.equilibrium.u @ (point.system.stiffness @ point.equilibrium.u)
@@ -141,10 +134,8 @@ def test_the_unit_has_a_floor_in_units_of_the_objective() -> None:
     assert OuterResidual(outer.energy, still).unit == pytest.approx(1e-6 * size_of(still))
 
 
-def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_solution(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    outer = Outer.of(block_sliding_on_a_circle())
+def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_solution(monkeypatch):
+    outer = rm.Outer.of(block_sliding_on_a_circle())
     q = 0.1 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     point, rel, residual = outer.energy(q), outer.relocation, outer.residual
     state, rows = point.equilibrium, rel.parts.friction_rows
@@ -161,8 +152,8 @@ def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_soluti
 
 def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     room = 1e-5
-    given = EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
+    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
+    outer = rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
     residual, q = outer.residual, np.zeros(outer.n)
     rows = outer.relocation.validity.at(q)
     # a gradient that multipliers of the elements explain as a whole
@@ -177,8 +168,8 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
 
 
 def test_an_element_beyond_its_least_area_has_no_slack_left() -> None:
-    given = EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
+    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
+    outer = rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     assert np.min(outer.relocation.validity.at(q).slack) < 0
     assert np.min(released(outer.energy, q, np.zeros(outer.n)).slack) == 0
@@ -187,7 +178,7 @@ def test_an_element_beyond_its_least_area_has_no_slack_left() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> None:
     """Limits are 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes there."""
-    outer = Outer.of(sloped_block())
+    outer = rm.Outer.of(sloped_block())
     free, q, gradient = outer.relocation.parts.mesh_map, np.zeros(outer.n), np.zeros(outer.n)
     index = free.positions.index
     slanted = next(n for n in outer.problem.contact_nodes if index[0, n] == index[1, n] >= 0)
@@ -203,7 +194,7 @@ def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> N
 
 
 def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
-    outer = Outer.of(plate({"hole": HOLE}, delta=0.4))
+    outer = rm.Outer.of(plate({"hole": HOLE}, delta=0.4))
     index = outer.relocation.parts.mesh_map.positions.index
     node = outer.problem.boundary_nodes("hole")[3]
     q, gradient = np.zeros(outer.n), np.zeros(outer.n)
@@ -213,8 +204,8 @@ def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
 
 
 def test_rows_of_an_element_are_its_area_and_then_its_angles() -> None:
-    problem = EXAMPLES["6.1"](3)
-    outer = Outer.of(replace(problem, motion=Motion(None, min_angle=20.0)))
+    problem = rm.EXAMPLES["6.1"](3)
+    outer = rm.Outer.of(replace(problem, motion=rm.Motion(None, min_angle=20.0)))
     validity = outer.relocation.validity
     per_element = len(validity.group.rows)
     assert per_element == 4
@@ -226,8 +217,8 @@ def test_rows_of_an_element_are_its_area_and_then_its_angles() -> None:
 
 
 def test_a_gradient_that_is_no_number_has_no_multipliers_of_elements() -> None:
-    given = EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
+    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
+    outer = rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
     rates = released(outer.energy, np.zeros(outer.n), np.full(outer.n, np.nan))
     assert rates.residual(1.0) == np.inf
     assert not np.any(rates.multipliers.area)

@@ -1,7 +1,5 @@
 """Objectives of contact forces: values by hand and from the forces of a solution, derivatives, refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca
@@ -19,7 +17,6 @@ from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.problem import ContactProblem, signed_areas
-from rmesh_nlp.solving.outer import Outer
 from support.objectives import even_sum, value_on, values_at
 from support.orders import ORDERS, slow_but
 from support.problems import COULOMB, LENGTH, PRESSURE, SHEAR, coulomb_slab, sliding_block
@@ -74,7 +71,7 @@ def of_sums(on: Fields) -> Functional:
 
 def check_derivatives(problem: ContactProblem, parts: list[Objective | str]) -> None:
     """Taylor's rate of the gradient, that of differences of it, of objectives in equal shares."""
-    outer = Outer.of(problem)
+    outer = rm.Outer.of(problem)
     function, rng = ReducedObjective(outer.energy, even_sum(outer, parts)), np.random.default_rng(6)
     q, *directions = rng.uniform(-1, 1, (4, outer.n)) * [[0.2], [1], [1], [1]]
     here = function(q)
@@ -130,7 +127,7 @@ def test_derivatives_of_the_area(order: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.3", "Coulomb, varying"])
 def test_the_kkt_model_has_the_value_and_the_sums(name: str) -> None:
-    outer = Outer.of(PROBLEMS[name]())
+    outer = rm.Outer.of(PROBLEMS[name]())
     wanted = even_sum(outer, [text.format("contact") for text in TERMS])
     start = kkt_unknowns(outer.energy(np.zeros(outer.n)), outer.discretisation.friction_rows)
     program = bilevel(outer.discretisation, wanted, length=1e-3, force=7.0, value=3.0, start=start)
@@ -165,7 +162,7 @@ ON_THE_SLIDING_BLOCK = {
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_sliding_block_by_hand(order: int) -> None:
-    found = values_at(Outer.of(sliding_block(order), "area"), list(ON_THE_SLIDING_BLOCK))
+    found = values_at(rm.Outer.of(sliding_block(order), "area"), list(ON_THE_SLIDING_BLOCK))
     assert dict(zip(ON_THE_SLIDING_BLOCK, found, strict=True)) == pytest.approx(
         ON_THE_SLIDING_BLOCK, rel=1e-9, abs=1e-10
     )
@@ -190,7 +187,7 @@ def test_compliance_of_a_bar_and_of_a_membrane_by_hand() -> None:
 @pytest.mark.parametrize("name", ["6.1", "sloped, stick and slip", *slow_but(["6.3", "gaps along edges"])])
 def test_sums_over_the_nodes_of_a_contact_boundary(name: str, order: int) -> None:
     problem = replace((CONTACTS | OTHERS)[name](), order=order)
-    outer, boundary = Outer.of(problem), problem.obstacles[0].boundary
+    outer, boundary = rm.Outer.of(problem), problem.obstacles[0].boundary
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     point = outer.energy(q)
     state, space, nodes = point.equilibrium, outer.discretisation.space, outer.nodes(q)

@@ -6,26 +6,23 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.reduced_nlp import reduced_nlp
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.data import ContactSet
-from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outer import Outer
 from support.orders import slow_but
 from support.problems import sloped_block
 from support.taylor import difference_order, taylor_order
 
 
-def near() -> ContactProblem:
+def near() -> rm.ContactProblem:
     """Example 6.2, whose foundation is so near that some nodes touch it."""
-    problem = EXAMPLES["6.2"]((4, 2))
+    problem = rm.EXAMPLES["6.2"]((4, 2))
     return replace(problem, obstacle=replace(problem.obstacles[0], offset=2e-3))
 
 
@@ -33,7 +30,7 @@ PROBLEMS = {"frictionless": near, "friction": lambda: sloped_block(n=(6, 2))}
 
 
 @pytest.fixture(params=PROBLEMS)
-def outer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Outer:
+def outer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> rm.Outer:
     alone = DisplacementSpace.__dict__["contact_sets"].func
 
     def coupled(space: DisplacementSpace) -> tuple[ContactSet, ...]:
@@ -46,15 +43,15 @@ def outer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ou
     table = cached_property(coupled)
     table.__set_name__(DisplacementSpace, "contact_sets")
     monkeypatch.setattr(DisplacementSpace, "contact_sets", table)
-    return Outer.of(PROBLEMS[request.param]())
+    return rm.Outer.of(PROBLEMS[request.param]())
 
 
-def at_random(outer: Outer) -> tuple[Array, Array]:
+def at_random(outer: rm.Outer) -> tuple[Array, Array]:
     rng = np.random.default_rng(1)
     return 0.3 * rng.uniform(-1, 1, outer.n), rng.uniform(-1, 1, outer.n)
 
 
-def test_contact_solve_has_the_gap_of_both_nodes(outer: Outer) -> None:
+def test_contact_solve_has_the_gap_of_both_nodes(outer: rm.Outer) -> None:
     q, _ = at_random(outer)
     point, (part,) = outer.energy.solved(q), outer.discretisation.space.contact_sets
     system, state = point.system, point.equilibrium
@@ -71,7 +68,7 @@ def test_contact_solve_has_the_gap_of_both_nodes(outer: Outer) -> None:
 
 
 @pytest.mark.parametrize("objective", ["energy", *slow_but(["compliance"])])
-def test_derivatives(outer: Outer, objective: str) -> None:
+def test_derivatives(outer: rm.Outer, objective: str) -> None:
     energy, (q, d) = outer.energy, at_random(outer)
     function = energy if objective == "energy" else ReducedObjective(energy, parse_objective(objective))
     assert taylor_order(function, q, d) > 1.9
@@ -83,10 +80,10 @@ def test_derivatives(outer: Outer, objective: str) -> None:
 
 
 @pytest.mark.slow
-def test_joint_and_mpcc_end_alike(outer: Outer) -> None:
+def test_joint_and_mpcc_end_alike(outer: rm.Outer) -> None:
     start, ends = outer.energy(np.zeros(outer.n)).value, []
     for formulation in (Joint(), AllAtOnce()):
-        outcome = Monitor().run(formulation, outer, np.zeros(outer.n))
+        outcome = rm.Monitor().run(formulation, outer, np.zeros(outer.n))
         assert outcome.status.value == "converged"
         found, u = outer.energy(outcome.q), outcome.own.u
         np.testing.assert_allclose(u, found.equilibrium.u, atol=1e-6 * np.max(np.abs(u)))

@@ -1,7 +1,5 @@
 """Levels of a cascade: coarser meshes, Delaunay meshes in a metric, and maps between meshes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.evaluation import Array
@@ -17,23 +16,11 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.delaunay import MetricNodes, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Laplace,
-    Motion,
-    Obstacle,
-    PiecewiseLinear,
-    PlaneStrain,
-    PointLoad,
-    Relative,
-)
-from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.problem import PiecewiseLinear
 from rmesh_nlp.problem.lines import sliding_directions
 from support.curved import HOLE, plate
 from support.problems import no_move_limits
@@ -70,7 +57,7 @@ def test_a_map_that_would_invert_elements_of_the_finer_mesh_is_smoothed_or_dampe
     before, after = (signed_areas(p, two.triangles) for p in (two.mesh.p, parts.mesh_map.positions.values(q)))
     assert np.min(after / before) > 1e-9
     assert np.any(q)
-    bounded = discretise(replace(two, motion=Motion(0.01)))
+    bounded = discretise(replace(two, motion=rm.Motion(0.01)))
     assert np.max(np.abs(prolonged(one.mesh.p, one.triangles, move, bounded))) == pytest.approx(1.0)
 
 
@@ -102,15 +89,15 @@ def test_coarser_meshes_have_about_a_quarter_of_the_nodes_or_are_none() -> None:
 
 
 def test_coarser_meshes_keep_nodes_at_kinks_and_under_point_loads() -> None:
-    mesh, place = rectangle(9, 9), np.array([0.0, 4 / 9])
+    mesh, place = rm.shapes.rectangle(9, 9), np.array([0.0, 4 / 9])
     node = int(np.argmin(np.linalg.norm(mesh.p - place[:, None], axis=0)))
-    problem = ContactProblem(
+    problem = rm.ContactProblem(
         mesh,
-        PlaneStrain.from_young(1000.0, 0.3),
+        rm.PlaneStrain.from_young(1000.0, 0.3),
         dirichlet=("right",),
-        obstacle=Obstacle.graph("bottom", PiecewiseLinear((0.0, 5 / 9, 1.0), (-0.1, 0.0, -0.1))),
-        point_loads=(PointLoad(node, (1.0, 0.0)),),
-        motion=Motion(None),
+        obstacle=rm.Obstacle.graph("bottom", PiecewiseLinear((0.0, 5 / 9, 1.0), (-0.1, 0.0, -0.1))),
+        point_loads=(rm.PointLoad(node, (1.0, 0.0)),),
+        motion=rm.Motion(None),
     )
     coarse = coarsened(problem, least=10)
     assert coarse is not None
@@ -120,7 +107,7 @@ def test_coarser_meshes_keep_nodes_at_kinks_and_under_point_loads() -> None:
 
 @pytest.mark.slow
 def test_a_decimated_problem_keeps_domain_names_and_corners() -> None:
-    problem = refined(refined(random_problem(1)))
+    problem = rm.refined(rm.refined(random_problem(1)))
     rng = np.random.default_rng(1)
     p = problem.mesh.p.copy()
     on_line, _ = sliding_directions(problem)
@@ -147,8 +134,8 @@ def directions(mesh: MeshTri) -> np.ndarray:
 
 def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one() -> None:
     """A map found with other directions is of little use on the given mesh."""
-    mesh = rectangle(31, 9, x=(0, 3), diagonal="falling")
-    coarse = coarsened(ContactProblem(mesh, Laplace(1.0), "left", motion=Motion(None)), least=20)
+    mesh = rm.shapes.rectangle(31, 9, x=(0, 3), diagonal="falling")
+    coarse = coarsened(rm.ContactProblem(mesh, rm.Laplace(1.0), "left", motion=rm.Motion(None)), least=20)
     assert coarse is not None
     assert 0.2 < coarse.mesh.p.shape[1] / mesh.p.shape[1] < 0.32
     kept = np.isin(directions(coarse.mesh), np.unique(directions(mesh)))
@@ -157,7 +144,7 @@ def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one() -> None:
 
 def test_a_small_hole_stays_open() -> None:
     """Its nodes slide along a circle, so that any of them may be taken out, but not all."""
-    grid, radius = rectangle(12, 12, x=(-6, 6), y=(-6, 6)), 1.0
+    grid, radius = rm.shapes.rectangle(12, 12, x=(-6, 6), y=(-6, 6)), 1.0
     p = grid.p.copy()
     t = grid.t[:, np.max(np.abs(p[:, grid.t].mean(axis=1)), axis=0) > radius]
     rim = np.isclose(np.max(np.abs(p), axis=0), radius)
@@ -165,8 +152,8 @@ def test_a_small_hole_stays_open() -> None:
     used = np.unique(t)
     parts = {"left": lambda x: x[0] < -5, "hole": lambda x: np.hypot(*x) < 2}
     mesh = from_arrays(p[:, used].T, np.searchsorted(used, counter_clockwise(p, t)).T, parts)
-    motion = Motion(None, curves={"hole": Circle((0.0, 0.0), radius)})
-    coarse = coarsened(ContactProblem(mesh, Laplace(1.0), "left", motion=motion), least=12)
+    motion = rm.Motion(None, curves={"hole": rm.Circle((0.0, 0.0), radius)})
+    coarse = coarsened(rm.ContactProblem(mesh, rm.Laplace(1.0), "left", motion=motion), least=12)
     assert coarse is not None
     found = coarse.mesh.facets[:, coarse.mesh.boundaries["hole"]]
     assert np.unique(found).size == found.shape[1] >= 3
@@ -174,7 +161,7 @@ def test_a_small_hole_stays_open() -> None:
 
 def test_a_hole_of_four_edges_keeps_them_all() -> None:
     """Of its nodes every second one could go, and would leave a line there and back."""
-    grid = rectangle(12, 12, x=(-6, 6), y=(-6, 6))
+    grid = rm.shapes.rectangle(12, 12, x=(-6, 6), y=(-6, 6))
     p = grid.p + 0.5
     outside = np.max(np.abs(p[:, grid.t].mean(axis=1)), axis=0) > 0.5
     t = counter_clockwise(p, grid.t[:, outside])
@@ -188,11 +175,11 @@ def test_a_hole_of_four_edges_keeps_them_all() -> None:
 
 def test_nodes_named_by_number_stay_and_are_renumbered() -> None:
     problem = replace(
-        EXAMPLES["6.1"](n=16), motion=Motion(None, pinned=(40,), tied=((100, 120),), slides=("contact",))
+        EXAMPLES["6.1"](n=16), motion=rm.Motion(None, pinned=(40,), tied=((100, 120),), slides=("contact",))
     )
     coarse = coarsened(problem)
     assert coarse is not None
-    limited = coarsened(replace(problem, motion=Motion(Relative(0.2))))
+    limited = coarsened(replace(problem, motion=rm.Motion(rm.Relative(0.2))))
     assert limited is not None
     # an edge is as much longer as its move limit is a smaller part of it
     part = np.sqrt(limited.mesh.p.shape[1] / problem.mesh.p.shape[1])
@@ -203,7 +190,7 @@ def test_nodes_named_by_number_stay_and_are_renumbered() -> None:
 
 def test_delaunay_in_the_plane_is_scipys_and_keeps_fixed_edges() -> None:
     rng = np.random.default_rng(1)
-    mesh = rectangle(6, 6)
+    mesh = rm.shapes.rectangle(6, 6)
     p = mesh.p.copy()
     inside = mesh.interior_nodes()
     p[:, inside] += rng.uniform(-0.07, 0.07, (2, inside.size))
@@ -223,9 +210,9 @@ def test_delaunay_in_the_plane_is_scipys_and_keeps_fixed_edges() -> None:
 
 
 def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:
-    coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
+    coarse = replace(EXAMPLES["6.1"](n=4), motion=rm.Motion(None))
     flat = coarse.mesh.p.copy()
     flat[0] = np.where(flat[0] == 0.25, 1e-4, flat[0])  # the first column has 4e-4 of its width
-    fine = relocation(refined(coarse))
+    fine = relocation(rm.refined(coarse))
     found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, flat - coarse.mesh.p, fine.parts))
     np.testing.assert_allclose(found[:, : flat.shape[1]], flat, atol=1e-12)

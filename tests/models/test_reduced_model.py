@@ -8,20 +8,17 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact import active_set, system
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models import second_derivatives
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.reduced_nlp import STIFF, reduced_nlp
-from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Motion, Obstacle, PlaneStress
-from rmesh_nlp.solving.outer import Outer
 from support.curved import CURVES, HOLE, disc, plate
 from support.orders import slow_but
 from support.problems import no_move_limits
@@ -31,12 +28,12 @@ from support.taylor import difference_order, taylor_order
 BENT_LOAD = (lambda x, y: x * y, lambda x, y: ca.sin(x))
 
 
-def with_exact(problem: ContactProblem) -> ContactProblem:
+def with_exact(problem: rm.ContactProblem) -> rm.ContactProblem:
     """With some smooth solution, whose traction does not vanish at x = 0, where nodes of 6.3 do not touch."""
     if problem.exact is not None:
         return problem
     value = [lambda x, y: -1e-3 * (x + 1) * y, lambda x, y: -1e-2 * (x * x + y)][: problem.components]
-    smooth = ExactSolution(lambda x, y: ca.vertcat(*(component(x, y) for component in value)), 0.0)
+    smooth = rm.ExactSolution(lambda x, y: ca.vertcat(*(component(x, y) for component in value)), 0.0)
     return replace(problem, exact=smooth)
 
 
@@ -59,13 +56,11 @@ def order_at_random(function: Any, n: int, seed: int, size: float) -> float:
     return taylor_order(function, q, d)
 
 
-def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_first_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_first_asked_for(monkeypatch):
     def counts(energy: ReducedEnergy) -> tuple[int, int, int]:
         return energy.contact_solves, energy.cold_solves, energy.factorisations
 
-    outer = Outer.of(EXAMPLES["6.3"]((4, 2)))
+    outer = rm.Outer.of(rm.EXAMPLES["6.3"]((4, 2)))
     energy, zero, given = outer.energy, np.zeros(outer.n), outer.contact.given
     assert counts(energy) == (0, 0, 0)
     assert energy(zero).equilibrium is given
@@ -142,20 +137,15 @@ def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
         envelope = energy(q)
         assert (envelope.is_energy, here.is_energy) == (True, False)
         assert here.value == pytest.approx(envelope.value, rel=1e-12)
-        for found, known in (
-            (here.gradient, envelope.gradient),
-            (hessian(d), energy.hessian(envelope)(d)),
-        ):
+        for found, known in ((here.gradient, envelope.gradient), (hessian(d), energy.hessian(envelope)(d))):
             np.testing.assert_allclose(found, known, atol=1e-9 * np.max(np.abs(known)))
 
 
 @pytest.mark.parametrize(
     "name", slow_but(["6.1", "sloped, stick and slip", "two obstacles at a node"], "sloped, stick and slip")
 )
-def test_factors_of_the_contact_solve_serve_other_objectives(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    outer, rng = Outer.of((CONTACTS | OTHERS)[name]()), np.random.default_rng(1)
+def test_factors_of_the_contact_solve_serve_other_objectives(name, monkeypatch):
+    outer, rng = rm.Outer.of((CONTACTS | OTHERS)[name]()), np.random.default_rng(1)
     conditions, point = outer.conditions, outer.energy.solved(0.2 * rng.uniform(-1, 1, outer.n))
     monkeypatch.setattr(system, "factorised", lambda _: pytest.fail("a second factorisation"))
     at = conditions.at(point)
@@ -165,12 +155,12 @@ def test_factors_of_the_contact_solve_serve_other_objectives(
         np.testing.assert_allclose(matrix @ at.solve(right, transposed), right, atol=1e-10)
 
 
-def large_limits() -> ContactProblem:
-    return EXAMPLES["6.2"]((6, 3), (0.6, 0.3))
+def large_limits() -> rm.ContactProblem:
+    return rm.EXAMPLES["6.2"]((6, 3), (0.6, 0.3))
 
 
-def with_angles() -> ContactProblem:
-    return replace(EXAMPLES["6.1"](4, 0.1), motion=Motion(0.1, min_angle=30.0))
+def with_angles() -> rm.ContactProblem:
+    return replace(rm.EXAMPLES["6.1"](4, 0.1), motion=rm.Motion(0.1, min_angle=30.0))
 
 
 @pytest.mark.parametrize(
@@ -205,7 +195,7 @@ def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multiplier
 
 
 def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles() -> None:
-    problem, barrier = no_move_limits(EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
+    problem, barrier = no_move_limits(rm.EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
     angles = replace(problem, motion=replace(problem.motion, min_angle=10))
     n = problem.mesh.t.shape[1]
     found = [relocation(problem), relocation(problem, barrier), relocation(angles, barrier)]
@@ -227,14 +217,14 @@ def test_element_constraints_have_their_derivatives(make) -> None:
 
 
 ENERGIES = {
-    "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
-    "6.2, gaps that move": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
-    "6.3, friction": lambda: EXAMPLES["6.3"]((6, 3), (1.0, 0.5)),
+    "6.1, areas": lambda: rm.EXAMPLES["6.1"](3, 0.9),
+    "6.2, gaps that move": lambda: rm.EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
+    "6.3, friction": lambda: rm.EXAMPLES["6.3"]((6, 3), (1.0, 0.5)),
     "gaps along edges": lambda: bumpy(0.0),
     "gaps along edges, friction": lambda: bumpy(0.3),
 }
 ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.items()}
-ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=Motion(None), order=2)
+ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=rm.Motion(None), order=2)
 
 
 def whole(upper: ca.DM) -> Array:
@@ -244,7 +234,7 @@ def whole(upper: ca.DM) -> Array:
 
 
 def test_derivatives_are_those_of_the_lagrangian() -> None:
-    function = Outer.of(replace(EXAMPLES["6.1"](3), order=2), "error-l2").function
+    function = rm.Outer.of(replace(rm.EXAMPLES["6.1"](3), order=2), "error-l2").function
     nlp, rng = reduced_nlp(function), np.random.default_rng(4)
     derivatives, n = nlp.derivatives, nlp.n_x
     q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]
@@ -263,7 +253,7 @@ def test_derivatives_are_those_of_the_lagrangian() -> None:
     "name", slow_but(ENERGIES, "6.1, areas", "gaps along edges, friction", "6.3, friction, order 2")
 )
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
-    function = Outer.of(ENERGIES[name]()).energy
+    function = rm.Outer.of(ENERGIES[name]()).energy
     larger, n, rng = reduced_nlp(function), function.relocation.parts.n_q, np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, larger.n_g)
     curvature = function.hessian(function(q))(np.eye(n))
@@ -282,27 +272,27 @@ def test_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(
         module, "_pattern", lambda rel: sp.csc_array(sp.eye_array(rel.parts.n_q + rel.parts.n_u))
     )
-    larger = reduced_nlp(Outer.of(bumpy(0.0)).energy)
+    larger = reduced_nlp(rm.Outer.of(bumpy(0.0)).energy)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
 
 
 def test_energy_has_the_digits_of_its_strains_however_far_the_body_moves() -> None:
     """A square that falls by 1000 and is then compressed by 1e-4: E (1e-4)^2 / 2, E = 1 in plane stress."""
-    problem = ContactProblem(
-        mesh=rectangle(4, 4),
-        law=PlaneStress.from_young(1.0, 0.3),
-        dirichlet=(Dirichlet("left", (0.0, None)), Dirichlet("top", (None, -1000.0001))),
-        obstacle=Obstacle.line("bottom", point=(0.0, -1000.0), normal=(0.0, 1.0)),
+    problem = rm.ContactProblem(
+        mesh=rm.shapes.rectangle(4, 4),
+        law=rm.PlaneStress.from_young(1.0, 0.3),
+        dirichlet=(rm.Dirichlet("left", (0.0, None)), rm.Dirichlet("top", (None, -1000.0001))),
+        obstacle=rm.Obstacle.line("bottom", point=(0.0, -1000.0), normal=(0.0, 1.0)),
         order=2,
     )
-    outer = Outer.of(problem, ENERGY)
+    outer = rm.Outer.of(problem, ENERGY)
     values = [outer.function(0.02 * q).value for q in np.random.default_rng(0).uniform(-1, 1, (3, outer.n))]
     assert values == pytest.approx([5e-9] * 3, rel=1e-6)
 
 
 def test_meshes_with_inverted_elements_have_no_energy() -> None:
-    outer = Outer.of(EXAMPLES["6.1"](3, 0.9))
+    outer = rm.Outer.of(rm.EXAMPLES["6.1"](3, 0.9))
     nlp, q = reduced_nlp(outer.energy), np.random.default_rng(0).uniform(-1, 1, outer.n)
     x = np.append(q, np.zeros(nlp.n_x - q.size))
     assert np.isnan(float(nlp.derivatives.grad_f(x, [])[0]))

@@ -1,7 +1,5 @@
 """The metric start: number of nodes, what is carried over, curves, least angles, rounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -9,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import remeshing
@@ -28,38 +25,27 @@ from rmesh_nlp.models.remeshing import (
     sagitta,
 )
 from rmesh_nlp.optimize.budget import StoppedError
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    NO_CONTACT,
-    ContactProblem,
-    Laplace,
-    Motion,
-    PlaneStrain,
-    PointLoad,
-    Traction,
-)
+from rmesh_nlp.problem import NO_CONTACT
 from rmesh_nlp.problem.body import Body
-from support.contact_geometry import (
-    block_between_two_foundations,
-)
+from support.contact_geometry import block_between_two_foundations
 from support.curved import CURVES, plate
 from support.problems import energy_error, signorini
 
 SIDES = ("left", "right", "top", "bottom")
-SOURCE = Laplace(lambda x, y: 50 * x * x)
+SOURCE = rm.Laplace(lambda x, y: 50 * x * x)
 
 
-def scalar(mesh: Any = None, **parts: Any) -> ContactProblem:
-    usual = {"law": SOURCE, "dirichlet": ("left",), "obstacle": NO_CONTACT, "motion": Motion(None)}
-    return ContactProblem(**{"mesh": rectangle(6, 6) if mesh is None else mesh, **usual, **parts})
+def scalar(mesh: Any = None, **parts: Any) -> rm.ContactProblem:
+    usual = {"law": SOURCE, "dirichlet": ("left",), "obstacle": NO_CONTACT, "motion": rm.Motion(None)}
+    return rm.ContactProblem(**{"mesh": rectangle(6, 6) if mesh is None else mesh, **usual, **parts})
 
 
-def remade(problem: ContactProblem, nodes: int | None = None, **options: Any) -> ContactProblem:
+def remade(problem: rm.ContactProblem, nodes: int | None = None, **options: Any) -> rm.ContactProblem:
     number = problem.mesh.p.shape[1] if nodes is None else nodes
     return remeshed_problem(problem, Solved.of(problem).regions, number, **options)[0]
 
 
-def count(problem: ContactProblem) -> int:
+def count(problem: rm.ContactProblem) -> int:
     return int(problem.mesh.p.shape[1])
 
 
@@ -79,25 +65,25 @@ class TestNumberOfNodes:
     @pytest.mark.parametrize(
         ("make", "nodes", "said"),
         [
-            (lambda: scalar(motion=Motion(None, pinned=SIDES)), 15, "no mesh of 15 nodes of this domain"),
+            (lambda: scalar(motion=rm.Motion(None, pinned=SIDES)), 15, "no mesh of 15 nodes of this domain"),
             (lambda: signorini(6), 4, r"mesh of \d nodes: no node of the contact set is free"),
             (lambda: plate({"hole": CURVES["circle"]}), 12, "too coarse for the curves: take more"),
             (
-                lambda: replace(signorini(4), motion=Motion(None, min_angle=55.0)),
+                lambda: replace(signorini(4), motion=rm.Motion(None, min_angle=55.0)),
                 25,
                 "no mesh of 25 nodes with angles of 55 degrees or more",
             ),
         ],
     )
     def test_a_mesh_that_cannot_be_says_why(self, make: Any, nodes: int, said: str) -> None:
-        with pytest.raises(BadInputError, match=said):
+        with pytest.raises(rm.BadInputError, match=said):
             remade(make(), nodes)
 
 
 class TestCarriedOver:
     def test_domain_names_and_everything_else(self) -> None:
         problem = block_between_two_foundations()
-        found = remade(replace(problem, motion=Motion(None)), 120)
+        found = remade(replace(problem, motion=rm.Motion(None)), 120)
         assert np.abs(signed_areas(found.mesh.p, found.mesh.t)).sum() == pytest.approx(2.0)
         assert found.mesh.boundaries.keys() == problem.mesh.boundaries.keys()
         for name in ("law", "dirichlet", "obstacle", "tractions", "quadrature", "name", "units"):
@@ -109,9 +95,9 @@ class TestCarriedOver:
         mesh = rectangle(6, 6)
         places = np.array([[2, 3, 4, 2, 4, 3, 6], [2, 0, 2, 4, 4, 3, 4]]) / 6
         a, b, c, d, e, f, g = (int(np.argmin(np.hypot(*(mesh.p - at[:, None])))) for at in places.T)
-        loads = (PointLoad(f, (0.0, -1.0)), PointLoad(g, (0.0, -2.0)))
-        motion = Motion(None, pinned=(a, "top"), slides=(b,), free=(c, "top"), tied=((d, e),))
-        given = scalar(mesh, law=PlaneStrain(1.0, 1.0), motion=motion, point_loads=loads)
+        loads = (rm.PointLoad(f, (0.0, -1.0)), rm.PointLoad(g, (0.0, -2.0)))
+        motion = rm.Motion(None, pinned=(a, "top"), slides=(b,), free=(c, "top"), tied=((d, e),))
+        given = scalar(mesh, law=rm.PlaneStrain(1.0, 1.0), motion=motion, point_loads=loads)
         found, moves = remade(given, 60), remade(given, 60).motion
         assert (moves.pinned[1:], moves.slides[1:], moves.free[1:]) == (("top",), (), ("top",))
         numbers = moves.pinned[0], moves.slides[0], moves.free[0], *moves.tied[0]
@@ -128,9 +114,7 @@ class TestCurves:
         [(CURVES["circle"], 1.2, 90), (CURVES["parametrised"], 2.0, 60)],
         ids=["where an arc would be too high", "on another curve"],
     )
-    def test_nodes_end_on_them_and_arcs_are_no_higher_than_given(
-        self, curve: Curve, h: float, nodes: int
-    ) -> None:
+    def test_nodes_end_on_them_and_arcs_are_no_higher_than_given(self, curve, h, nodes):
         problem = plate({"hole": curve}, h=h)
         found = remade(problem, nodes)
         rim = found.mesh.p[:, found.boundary_nodes("hole")]
@@ -150,7 +134,7 @@ class TestCurves:
 @pytest.mark.slow
 def test_the_least_angle_is_that_of_the_motion_or_more_and_small_if_none_is_asked_for() -> None:
     mesh = rectangle(4, 4)
-    found = remade(scalar(mesh, motion=Motion(None, min_angle=30.0)))
+    found = remade(scalar(mesh, motion=rm.Motion(None, min_angle=30.0)))
     assert least_angles(found.mesh.p, found.triangles).min() >= 30.0
     found = remade(scalar(mesh))
     assert least_angles(found.mesh.p, found.triangles).min() < 10.0
@@ -158,7 +142,7 @@ def test_the_least_angle_is_that_of_the_motion_or_more_and_small_if_none_is_aske
 
 @pytest.mark.parametrize("pull", [1.0, 0.0])
 def test_a_linear_displacement_gets_a_uniform_mesh(pull: float) -> None:
-    problem = scalar(law=Laplace(0.0), tractions=(Traction("right", (pull,)),))
+    problem = scalar(law=rm.Laplace(0.0), tractions=(rm.Traction("right", (pull,)),))
     solved = Solved.of(problem)
     assert solved.error == 0.0
     start = metric_start(solved, 49)
@@ -189,14 +173,14 @@ class TestRounds:
     def start(self, monkeypatch: pytest.MonkeyPatch, ends: list[Any]) -> MetricStart:
         left, names = list(ends), ["6.1"]
 
-        def remesh(problem: ContactProblem, _: Any, size: int, *__: Any) -> Any:
+        def remesh(problem: rm.ContactProblem, _: Any, size: int, *__: Any) -> Any:
             assert (problem.name, size) == (names[-1], 9)
-            if isinstance(left[0], (BadInputError, StoppedError)):
+            if isinstance(left[0], (rm.BadInputError, StoppedError)):
                 raise left.pop(0)
             names.append(f"round {len(names)}")
             return replace(problem, name=names[-1]), 2.0
 
-        def solve(problem: ContactProblem) -> Solved:
+        def solve(problem: rm.ContactProblem) -> Solved:
             if isinstance(end := left.pop(0), Exception):
                 raise end
             solved = Solved.of(problem)
@@ -209,33 +193,29 @@ class TestRounds:
     @pytest.mark.parametrize(
         ("energies", "best"), [([-1.0, -2.0, -2.01, -9.0], -2.01), ([-1.0, -2.0, -1.9], -2.0)]
     )
-    def test_the_mesh_of_least_energy_counts(
-        self, monkeypatch: pytest.MonkeyPatch, energies: list[float], best: float
-    ) -> None:
+    def test_the_mesh_of_least_energy_counts(self, monkeypatch, energies, best):
         start = self.start(monkeypatch, energies)
         assert start.solved.state.energy == best
         assert start.energies == tuple(energies[:ROUNDS])
         assert start.nodes == (9,) * ROUNDS
 
     @pytest.mark.parametrize(
-        "error", [ProblemError("mesh", "not solved"), BadInputError("folds"), StoppedError()]
+        "error", [rm.ProblemError("mesh", "not solved"), rm.BadInputError("folds"), StoppedError()]
     )
-    def test_a_later_one_that_fails_is_given_up(
-        self, monkeypatch: pytest.MonkeyPatch, error: Exception
-    ) -> None:
+    def test_a_later_one_that_fails_is_given_up(self, monkeypatch, error):
         assert self.start(monkeypatch, [-1.0, error]).energies == (-1.0,)
         with pytest.raises(type(error), match=str(error)):
             self.start(monkeypatch, [error])
 
     def test_a_contact_problem_without_a_solution_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def unsolved(problem: ContactProblem) -> Solved:
+        def unsolved(problem: rm.ContactProblem) -> Solved:
             solver = ContactSolver(problem)
-            state = replace(solver.solve(problem.mesh.p), status=Status.ITERATION_LIMIT)
+            state = replace(solver.solve(problem.mesh.p), status=rm.Status.ITERATION_LIMIT)
             return Solved(solver, state)
 
         first = Solved.of(signorini(4))
         monkeypatch.setattr(Solved, "of", staticmethod(unsolved))
-        with pytest.raises(ProblemError, match="not solved on a new mesh of 2"):
+        with pytest.raises(rm.ProblemError, match="not solved on a new mesh of 2"):
             metric_start(first, 25)
 
     @pytest.mark.slow

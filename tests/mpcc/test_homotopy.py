@@ -122,12 +122,7 @@ def test_step_that_leaves_the_path_is_done_once_more_from_the_multipliers(again,
 @pytest.mark.parametrize(
     ("x", "above", "ts", "level"),
     [
-        (
-            (16.0, 0.5),
-            6.0,
-            [1.0, 80.0, 8.0, 1.0, 0.1],
-            6.2,
-        ),  # 20 is no end of a path from 6
+        ((16.0, 0.5), 6.0, [1.0, 80.0, 8.0, 1.0, 0.1], 6.2),  # 20 is no end of a path from 6
         ((16.0, 0.5), 19.0, [1.0, 80.0, 8.0, 0.1], 20.0),
         ((8.0, 0.5), 6.0, [1.0, 0.1], 20.0),  # products of 4 are not large for t = 1
     ],

@@ -67,12 +67,7 @@ def test_signs_name_the_branch_that_is_searched_alone(signs, step):
 
 @pytest.mark.parametrize(
     ("x_is", "status", "fun", "decided"),
-    [
-        (None, 2, None, False),
-        ([0] * 15, 1, 0.0, False),
-        ([0] * 15, 1, -1.0, True),
-        ([0] * 15, 0, 0.0, True),
-    ],
+    [(None, 2, None, False), ([0] * 15, 1, 0.0, False), ([0] * 15, 1, -1.0, True), ([0] * 15, 0, 0.0, True)],
 )
 def test_search_that_was_given_up_decides_only_by_a_descent(x_is, status, fun, decided, monkeypatch):
     answer = SimpleNamespace(x=None if x_is is None else np.array(x_is, float), status=status, fun=fun)

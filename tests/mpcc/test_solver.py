@@ -6,17 +6,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from mpcc_library.large import obstacle_control
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, classify, outcome, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.optimize.status import Status
 from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
 
 KINDS = [ca.SX, ca.MX]
-S = Status
+S = rm.Status
 HERE = np.array([2.0, 0.0])
 ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
 TRAP = MPCC(XY, (x + 1) ** 2 + (y - 1) ** 2, None, x, y)
@@ -271,7 +270,7 @@ def test_large_obstacle_control_is_exact_and_labelled():
     ],
 )
 def test_a_wrong_argument_is_one_line(given, words):
-    with pytest.raises(BadInputError, match=words) as refused:
+    with pytest.raises(rm.BadInputError, match=words) as refused:
         solve(two_minima(), 0.5, **given)
     assert "\n" not in str(refused.value)
 

@@ -111,8 +111,7 @@ TINY = 1e-12 * ((x - 1) ** 2 + (y - 2) ** 2)
 
 
 @pytest.mark.parametrize(
-    ("f", "point", "label"),
-    [(x + y, [1, 1], ""), (TINY, [0, 1.5], "none"), (TINY, [0, 2], "S")],
+    ("f", "point", "label"), [(x + y, [1, 1], ""), (TINY, [0, 1.5], "none"), (TINY, [0, 2], "S")]
 )
 def test_infeasible_point_gets_no_label_and_the_size_of_an_objective_does_not_matter(f, point, label):
     found = classify(MPCC(XY, f, None, x, y), point)

@@ -35,9 +35,7 @@ def test_phases_add_up_to_what_has_passed(monkeypatch: pytest.MonkeyPatch) -> No
     assert clock.elapsed == 11.0
 
 
-def test_what_remains_is_without_audits_and_no_more_than_is_left_of_the_whole(
-    monkeypatch,
-) -> None:
+def test_what_remains_is_without_audits_and_no_more_than_is_left_of_the_whole(monkeypatch):
     time = Time(monkeypatch)
     whole = Budget(Limits(seconds=10.0))
     part = Budget(Limits(seconds=100.0), whole)

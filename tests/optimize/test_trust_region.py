@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.errors import BadInputError
+import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize import constraints
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
 from rmesh_nlp.optimize.constraints import Linearised, nonnegative_fit
 from rmesh_nlp.optimize.newton_step import BoxStep, NewtonSettings
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, minimise
 
 
@@ -55,7 +54,7 @@ def test_convex_quadratics_in_a_box_end_at_their_kkt_point(seed: int, widths: An
     local = None if widths is None else LocalRadii(widths, lambda x, step: 1.0)
     tolerance = 1e-7 if local is None else 1
     result = descent(lambda x: quadratic(A, b, x), np.zeros(12), 1.0, tolerance=tolerance, local=local)
-    assert result.status is Status.CONVERGED
+    assert result.status is rm.Status.CONVERGED
     assert np.max(np.abs(result.x - np.clip(result.x - (A @ result.x - b), -1, 1))) < 1e-5
     assert np.any(np.abs(result.x) == 1)
     assert result.iterations > 0
@@ -80,7 +79,7 @@ def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
         return None if x[0] > 1 else quadratic(np.array([[2.0]]), np.array([4.0]), x)
 
     assert 0.9 < descent(evaluate, [0.0], 3.0, max_iterations=30).x[0] <= 1
-    assert descent(evaluate, [3.0], 3.0).status is Status.EVALUATION_ERROR
+    assert descent(evaluate, [3.0], 3.0).status is rm.Status.EVALUATION_ERROR
 
 
 def rosenbrock(x: Array) -> Evaluation:
@@ -101,7 +100,7 @@ def test_convergence_is_quadratic_near_a_minimum_of_a_function_that_is_none_of_i
         settings=NewtonSettings(forcing=1e-3),
         on_step=lambda i, x: values.append(rosenbrock(x).value),
     )
-    assert result.status is Status.CONVERGED
+    assert result.status is rm.Status.CONVERGED
     np.testing.assert_allclose(result.x, 1.0, atol=1e-8)
     assert np.all(np.diff(values) < 0)
     small = [value for value in values if value < 1e-2]
@@ -114,7 +113,7 @@ def test_convergence_is_quadratic_near_a_minimum_of_a_function_that_is_none_of_i
 )
 def test_it_ends_only_where_it_is_stationary_and_nothing_is_predicted(tolerance, gain, iterations) -> None:
     result = descent(rosenbrock, tolerance=tolerance, gain_tolerance=gain, reference=1e3, unit=1.0)
-    assert result.status is Status.CONVERGED
+    assert result.status is rm.Status.CONVERGED
     assert result.iterations <= iterations
     assert (np.max(np.abs(rosenbrock(result.x).gradient)) < 1e-8) == (iterations > 0)
 
@@ -125,16 +124,16 @@ def test_what_rounding_hides_is_stalled_unless_it_is_stationary() -> None:
     def evaluate(x: Array) -> Evaluation:
         return Evaluation(1e12 + x[0], np.ones(1), lambda: Matrix(np.eye(1)))
 
-    for tolerance, status in ((1e-6, Status.STALLED), (1e-4, Status.CONVERGED)):
+    for tolerance, status in ((1e-6, rm.Status.STALLED), (1e-4, rm.Status.CONVERGED)):
         assert descent(evaluate, [0.0], 1e-5, unit=1.0, tolerance=tolerance).status is status
 
 
 def test_a_callback_stops_it_and_the_iteration_limit_does() -> None:
     seen: list[int] = []
     stopped = descent(rosenbrock, on_step=lambda i, x: seen.append(i) or i == 2)
-    assert (stopped.status, stopped.iterations, seen) == (Status.INTERRUPTED, 2, [0, 1, 2])
+    assert (stopped.status, stopped.iterations, seen) == (rm.Status.INTERRUPTED, 2, [0, 1, 2])
     limited = descent(rosenbrock, max_iterations=2)
-    assert (limited.status, limited.iterations) == (Status.ITERATION_LIMIT, 2)
+    assert (limited.status, limited.iterations) == (rm.Status.ITERATION_LIMIT, 2)
     np.testing.assert_array_equal(limited.x, stopped.x)
 
 
@@ -180,7 +179,7 @@ def test_bad_settings_are_refused_by_name() -> None:
         ({"max_products": 2.5}, "max_products must be a whole number of at least 1, got 2.5"),
         ({"grow": 1.0}, "grow must be above 1"),
     ):
-        with pytest.raises(BadInputError, match=message):
+        with pytest.raises(rm.BadInputError, match=message):
             NewtonSettings.of(given)
 
 
@@ -236,5 +235,5 @@ def test_multipliers_are_not_negative_and_of_active_rows_alone(largest, monkeypa
 
 def test_a_gradient_that_is_no_number_ends_the_descent() -> None:
     end = descent(lambda x: Evaluation(1.0, np.full(2, np.nan), lambda: Matrix(np.eye(2))))
-    assert end.status is Status.STALLED
+    assert end.status is rm.Status.STALLED
     np.testing.assert_array_equal(end.x, 0)

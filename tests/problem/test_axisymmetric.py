@@ -12,7 +12,6 @@ from rmesh_nlp.fem.element import differentiated
 from rmesh_nlp.fem.energy import strain
 from rmesh_nlp.fem.fields import Fields
 from rmesh_nlp.fem.stress import strain_energies, stresses
-from rmesh_nlp.meshes.shapes import _drawn
 from rmesh_nlp.problem import Law, Place
 from support.orders import ORDERS
 
@@ -197,7 +196,7 @@ def test_ball_on_plane_is_that_of_hertz() -> None:
         ((radius, radius), 1.0, None),
         (centre, 1.0, None),
     ]
-    mesh = _drawn([loop], {"contact": [0], "arc": [1], "top": [2], "axis": [3]})
+    mesh = rm.shapes._drawn([loop], {"contact": [0], "arc": [1], "top": [2], "axis": [3]})
     circle = rm.Circle(centre, radius)
     problem = rm.ContactProblem(
         mesh=mesh,

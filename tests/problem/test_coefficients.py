@@ -1,7 +1,5 @@
 """Functions of position: their rule, and what is said where they cannot be used; material laws by hand."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from fractions import Fraction
@@ -11,19 +9,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Elastic,
-    Laplace,
-    Obstacle,
-    PiecewiseLinear,
-    PlaneStrain,
-    PlaneStress,
-    ProblemError,
-    Traction,
-    where,
-)
+import rmesh_nlp as rm
+from rmesh_nlp.problem import Elastic, PiecewiseLinear
 from rmesh_nlp.problem.coefficients import is_nonzero, on_points
 from rmesh_nlp.problem.quadrature import exact_rule
 from rmesh_nlp.problem.switches import polynomial_degree, switches
@@ -100,8 +87,8 @@ def test_values_at_points() -> None:
     assert [is_nonzero(c) for c in (0.0, -1e-300, lambda x, y: 0.0)] == [False, True, True]
 
 
-def stated(source: Any, **parts: Any) -> ContactProblem:
-    return ContactProblem(rectangle(4, 4), Laplace(source), ("left",), **parts)
+def stated(source: Any, **parts: Any) -> rm.ContactProblem:
+    return rm.ContactProblem(rm.shapes.rectangle(4, 4), rm.Laplace(source), ("left",), **parts)
 
 
 def step(x, y):
@@ -113,21 +100,21 @@ def step(x, y):
     [
         (step, {}, r"cannot branch on x or y.*where\(condition, a, b\)"),
         (lambda x, y: max(x, y), {}, "cannot branch"),
-        (1.0, {"obstacle": Obstacle("bottom", (1.0,), step)}, "cannot branch"),
+        (1.0, {"obstacle": rm.Obstacle("bottom", (1.0,), step)}, "cannot branch"),
         (lambda x, y: math.sin(x), {}, "not those of math"),
     ],
 )
 def test_function_that_takes_no_symbols_is_refused_with_advice(source, parts, message) -> None:
-    with pytest.raises(ProblemError, match=message):
+    with pytest.raises(rm.ProblemError, match=message):
         stated(source, **parts)
 
 
 @pytest.mark.filterwarnings("error")
 def test_where_and_functions_of_numpy_work_without_a_warning() -> None:
-    obstacle = Obstacle("right", (1.0,), lambda x, y: 0.1 + 0.1 * np.cos(y))
+    obstacle = rm.Obstacle("right", (1.0,), lambda x, y: 0.1 + 0.1 * np.cos(y))
     # np.maximum and np.abs need casadi 3.8
     assert fixed.solve(stated(lambda x, y: np.sin(x) * np.sqrt(y + 0.2), obstacle=obstacle)).success
-    assert fixed.solve(stated(lambda x, y: where(x > 0.5, 1.0, 0.0))).energy < 0
+    assert fixed.solve(stated(lambda x, y: rm.where(x > 0.5, 1.0, 0.0))).energy < 0
 
 
 class Slope:
@@ -144,7 +131,7 @@ class Slope:
 
 def test_degree_of_a_switch_is_known_between_known_switches_alone() -> None:
     for inner, degree in ((lambda x: x - 0.3, 1), (lambda x: np.sin(9 * x), None)):
-        kink = switches(lambda x, y, inner=inner: ca.fmax(where(inner(x) > 0, x, 2 * x) - y, 0))
+        kink = switches(lambda x, y, inner=inner: ca.fmax(rm.where(inner(x) > 0, x, 2 * x) - y, 0))
         assert degree in kink.degrees
         assert (None in kink.degrees) is (degree is None)
         assert kink.degrees[-1] == degree
@@ -159,7 +146,7 @@ def test_what_is_kept_of_a_coefficient_is_its_own() -> None:
 
 @pytest.mark.parametrize(
     ("law", "in_plane", "out_of_plane"),
-    [(PlaneStrain(12.0, 8.0), 12.0, 24.0), (PlaneStress(12.0, 8.0), 192 / 28, 0.0)],
+    [(rm.PlaneStrain(12.0, 8.0), 12.0, 24.0), (rm.PlaneStress(12.0, 8.0), 192 / 28, 0.0)],
 )
 def test_stress_and_energy_of_an_elastic_law(law: Elastic, in_plane: float, out_of_plane: float) -> None:
     assert law.in_plane_lambda == pytest.approx(in_plane, rel=1e-15)
@@ -170,7 +157,7 @@ def test_stress_and_energy_of_an_elastic_law(law: Elastic, in_plane: float, out_
     assert law.components == 2
 
 
-@pytest.mark.parametrize("kind", [PlaneStrain, PlaneStress])
+@pytest.mark.parametrize("kind", [rm.PlaneStrain, rm.PlaneStress])
 def test_moduli_of_engineers_become_lame_coefficients(kind: type[Elastic]) -> None:
     law = kind.from_young(2600.0, 0.3, (1.0, -2.0))
     assert (law.lame_lambda, law.lame_mu) == pytest.approx((1500.0, 1000.0), rel=1e-14)
@@ -184,21 +171,21 @@ def test_moduli_of_engineers_become_lame_coefficients(kind: type[Elastic]) -> No
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Laplace(1.0, 0.0), "conductivity must be positive and finite, got 0.0"),
-        (lambda: PlaneStrain(1.0, 0.0), "mu=0.0 are not those of an elastic solid"),
-        (lambda: PlaneStrain(np.nan, 1.0), "lambda=nan"),
-        (lambda: PlaneStrain(-8.0, 8.0), "lambda=-8.0, mu=8.0 are not those of an elastic solid"),
-        (lambda: PlaneStress(-0.67, 1.0), "lambda=-0.67"),
-        (lambda: PlaneStress(-2.0, 1.0), "lambda=-2.0"),
+        (lambda: rm.Laplace(1.0, 0.0), "conductivity must be positive and finite, got 0.0"),
+        (lambda: rm.PlaneStrain(1.0, 0.0), "mu=0.0 are not those of an elastic solid"),
+        (lambda: rm.PlaneStrain(np.nan, 1.0), "lambda=nan"),
+        (lambda: rm.PlaneStrain(-8.0, 8.0), "lambda=-8.0, mu=8.0 are not those of an elastic solid"),
+        (lambda: rm.PlaneStress(-0.67, 1.0), "lambda=-0.67"),
+        (lambda: rm.PlaneStress(-2.0, 1.0), "lambda=-2.0"),
         (lambda: PiecewiseLinear((0.0, 1.0), (1.0,)), "2 or more points"),
         (lambda: PiecewiseLinear((0.0, 0.0), (1.0, 2.0)), "must increase"),
         (lambda: PiecewiseLinear((0.0, 1.0), (0.0, np.nan)), "must be finite"),
-        (lambda: PlaneStrain(1.0, 1.0, (1.0,)), "body_force must have 2 components"),
-        (lambda: PlaneStrain.from_young(0.0, 0.3), "young must be positive and finite, got 0.0"),
-        (lambda: PlaneStrain.from_young(1.0, 0.5), "poisson must lie between -1 and 0.5, got 0.5"),
-        (lambda: PlaneStrain.from_young(1.0, -1.0), "between -1 and 0.5, got -1.0"),
-        (lambda: PlaneStrain.from_young(None, 0.3), "young must be positive and finite, got None"),
-        (lambda: PlaneStrain.from_young(1.0, "x"), "between -1 and 0.5, got 'x'"),
+        (lambda: rm.PlaneStrain(1.0, 1.0, (1.0,)), "body_force must have 2 components"),
+        (lambda: rm.PlaneStrain.from_young(0.0, 0.3), "young must be positive and finite, got 0.0"),
+        (lambda: rm.PlaneStrain.from_young(1.0, 0.5), "poisson must lie between -1 and 0.5, got 0.5"),
+        (lambda: rm.PlaneStrain.from_young(1.0, -1.0), "between -1 and 0.5, got -1.0"),
+        (lambda: rm.PlaneStrain.from_young(None, 0.3), "young must be positive and finite, got None"),
+        (lambda: rm.PlaneStrain.from_young(1.0, "x"), "between -1 and 0.5, got 'x'"),
     ],
 )
 def test_what_is_no_material_and_no_function_is_refused(make: object, message: str) -> None:
@@ -208,8 +195,13 @@ def test_what_is_no_material_and_no_function_is_refused(make: object, message: s
 
 @pytest.mark.parametrize("number", [np.float64(0.5), np.float32(0.5), np.array(0.5)], ids=repr)
 def test_a_friction_bound_is_a_number_of_numpy(number: Any) -> None:
-    body = rectangle(2, 2), PlaneStrain(1.0, 1.0), "left", Obstacle("bottom", (0.0, 1.0), friction=number)
-    assert ContactProblem(*body).frictional
+    body = (
+        rm.shapes.rectangle(2, 2),
+        rm.PlaneStrain(1.0, 1.0),
+        "left",
+        rm.Obstacle("bottom", (0.0, 1.0), friction=number),
+    )
+    assert rm.ContactProblem(*body).frictional
 
 
 @pytest.mark.parametrize(
@@ -219,17 +211,17 @@ def test_a_friction_bound_is_a_number_of_numpy(number: Any) -> None:
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        (lambda f: {"tractions": Traction("top", (f, 0.0))}, "component 1 of the traction on 'top'"),
-        (lambda f: {"law": PlaneStrain(1.0, 1.0, (0.0, f))}, "component 2 of the body force"),
-        (lambda f: {"obstacle": Obstacle.graph("bottom", f)}, "the obstacle on 'bottom'"),
-        (lambda f: {"obstacle": Obstacle("bottom", friction=f)}, "the friction bound on 'bottom'"),
+        (lambda f: {"tractions": rm.Traction("top", (f, 0.0))}, "component 1 of the traction on 'top'"),
+        (lambda f: {"law": rm.PlaneStrain(1.0, 1.0, (0.0, f))}, "component 2 of the body force"),
+        (lambda f: {"obstacle": rm.Obstacle.graph("bottom", f)}, "the obstacle on 'bottom'"),
+        (lambda f: {"obstacle": rm.Obstacle("bottom", friction=f)}, "the friction bound on 'bottom'"),
     ],
 )
 def test_a_coefficient_is_one_number(changes: Any, named: str, value: Any) -> None:
-    parts = {"mesh": rectangle(2, 2), "law": PlaneStrain(1.0, 1.0), "dirichlet": "left"}
+    parts = {"mesh": rm.shapes.rectangle(2, 2), "law": rm.PlaneStrain(1.0, 1.0), "dirichlet": "left"}
     for given in (lambda x, y: value, *([value] if isinstance(value, (str, Fraction)) else [])):
-        with pytest.raises(ProblemError) as error:
-            ContactProblem(**{**parts, "obstacle": Obstacle("bottom"), **changes(given)})
+        with pytest.raises(rm.ProblemError) as error:
+            rm.ContactProblem(**{**parts, "obstacle": rm.Obstacle("bottom"), **changes(given)})
         assert str(error.value) == f"{named}: one number is needed, got {value!r}"
 
 
@@ -242,11 +234,11 @@ def level(x: Any, y: Any) -> Any:
 
 
 OBSTACLES = {
-    "graph": Obstacle.graph("bottom", height, coulomb=height),
-    "line": Obstacle.line("bottom", (0.0, -0.05), (0.0, 2.0)),
-    "circle": Obstacle.circle("bottom", (0.5, -10.05), 10.0),
-    "curve": Obstacle.curve("bottom", level),
-    "interior": Obstacle.interior(height),
+    "graph": rm.Obstacle.graph("bottom", height, coulomb=height),
+    "line": rm.Obstacle.line("bottom", (0.0, -0.05), (0.0, 2.0)),
+    "circle": rm.Obstacle.circle("bottom", (0.5, -10.05), 10.0),
+    "curve": rm.Obstacle.curve("bottom", level),
+    "interior": rm.Obstacle.interior(height),
 }
 
 

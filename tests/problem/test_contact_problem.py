@@ -9,19 +9,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     NO_CONTACT,
@@ -38,7 +35,6 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
-from rmesh_nlp.problem.coefficients import where
 from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.contact_problem import bisected, locally_refined, refined
 from rmesh_nlp.problem.motion import BY_BARRIER
@@ -52,14 +48,9 @@ SCALAR = {
     "dirichlet": ("left",),
 }
 FLOOR = Obstacle("bottom", friction=1.0)
-BODY = {
-    "mesh": rectangle(2, 2),
-    "law": PlaneStrain(50.0, 40.0),
-    "dirichlet": ("left",),
-    "obstacle": FLOOR,
-}
+BODY = {"mesh": rectangle(2, 2), "law": PlaneStrain(50.0, 40.0), "dirichlet": ("left",), "obstacle": FLOOR}
 WALL = Obstacle.line("right", (1.0, 0.0), (-1.0, 0.0))
-DISC = Circle((0.0, 0.0), 1.0)
+DISC = rm.Circle((0.0, 0.0), 1.0)
 GAP = Traction("top", lambda x, y: ca.log(ca.fabs(x - 0.06) - 0.01))
 BEAM = BODY | {"mesh": rectangle(4, 1, x=(0, 100)), "obstacle": NO_CONTACT}
 SECOND = BODY["mesh"].p.shape[1]  # the first node of the second body of the pair
@@ -143,7 +134,7 @@ def test_the_rigid_motion_that_is_left_is_named(change: dict, motion: str) -> No
 
 
 def on_a_line(height: float) -> Motion:
-    line = Parametrised(lambda t: t, lambda t: 1 + height + 0 * t, (-1.0, 2.0))
+    line = rm.Parametrised(lambda t: t, lambda t: 1 + height + 0 * t, (-1.0, 2.0))
     return Motion(None, curves={"top": line})
 
 
@@ -181,7 +172,7 @@ def boundary_lengths(problem: ContactProblem) -> dict[str, float]:
 
 
 def test_refined_meshes_keep_boundaries_and_move_limits() -> None:
-    problem = replace(EXAMPLES["6.3"]((4, 2)), motion=Motion(Relative(0.3)))
+    problem = replace(rm.EXAMPLES["6.3"]((4, 2)), motion=Motion(Relative(0.3)))
     whole, part = refined(problem), locally_refined(problem, np.array([0, 5]))
     assert whole.motion.delta == Relative(0.6)
     assert refined(whole).motion.delta == Relative(1.0)
@@ -214,7 +205,7 @@ def test_boundary_on_an_axis_of_symmetry_stays_on_it() -> None:
 
 
 def test_a_summary_describes_laws_motion_and_contact() -> None:
-    problem = EXAMPLES["6.3"]((4, 2))
+    problem = rm.EXAMPLES["6.3"]((4, 2))
     words = dict(problem.summary())
     assert words["contact"] == "4 nodes on contact, normal (0, 1), friction bound 10"
     assert "16 triangles" in repr(problem)
@@ -434,24 +425,24 @@ MISUSED = [
     ("node", lambda: PointLoad((0.5, 0.5), (0, -1))),
     ("delta", lambda: Motion(delta="large")),
     ("min_angle", lambda: Motion(min_angle="large")),
-    ("curves", lambda: Motion(curves=Circle((0, 0), 1))),
-    ("radius", lambda: Circle((0, 0), -1)),
-    ("centre", lambda: Circle(3, 1)),
-    ("points", lambda: Spline("abc")),
-    ("x", lambda: Parametrised("t", "t", (0, 1))),
+    ("curves", lambda: Motion(curves=rm.Circle((0, 0), 1))),
+    ("radius", lambda: rm.Circle((0, 0), -1)),
+    ("centre", lambda: rm.Circle(3, 1)),
+    ("points", lambda: rm.Spline("abc")),
+    ("x", lambda: rm.Parametrised("t", "t", (0, 1))),
     ("normal", lambda: Obstacle.line("bottom", 0, 1)),
     ("centre", lambda: Obstacle.circle("bottom", 1, 1)),
     ("start", lambda: DesignVariable("a", "x", (0, 1))),
     ("bounds", lambda: DesignVariable("a", 0.5, ("x", "y"))),
     ("x", lambda: rectangle(2, 2, x=("a", "b"))),
-    ("path", lambda: read_mesh(5)),
-    ("condition", lambda: where("a", 1, 2)),
+    ("path", lambda: rm.read_mesh(5)),
+    ("condition", lambda: rm.where("a", 1, 2)),
 ]
 
 
 @pytest.mark.parametrize(("argument", "misuse"), MISUSED)
 def test_a_misused_argument_is_one_line_that_names_it(argument, misuse):
-    with pytest.raises(BadInputError) as caught:
+    with pytest.raises(rm.BadInputError) as caught:
         misuse()
     assert caught.value.place == (argument,)
     assert len(str(caught.value).splitlines()) == 1

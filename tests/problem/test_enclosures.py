@@ -1,7 +1,5 @@
 """What is resolved is a polynomial to Gauss's rule; smooth coefficients are resolved, hidden ones are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.meshes import MeshRepairWarning
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle
 from rmesh_nlp.problem.lines import onto_lines, sliding_directions
 
 FORMS = ["%.8g", "%.7g", "%.6f", "%.6g", "%.5f"]
@@ -17,7 +16,7 @@ FORMS = ["%.8g", "%.7g", "%.6f", "%.6g", "%.5f"]
 
 def turned(form: str, sagitta: float, n: int, size: float, offset: float = 0.0) -> MeshTri:
     """A block turned by 20 degrees whose lower side is straight, or an arc, with coordinates as in a file."""
-    grid = rectangle(n, 4, x=(0, 4))
+    grid = rm.shapes.rectangle(n, 4, x=(0, 4))
     x, y = grid.p
     y = y - 4 * sagitta * x * (1 - x / 4) * (1 - y)
     a = np.deg2rad(20)
@@ -30,7 +29,7 @@ def turned(form: str, sagitta: float, n: int, size: float, offset: float = 0.0) 
 def test_nodes_of_rounded_straight_sides_slide_along_them(form: str, size: float, offset: float) -> None:
     mesh = turned(form, 0.0, 16, size, offset)
     with pytest.warns(MeshRepairWarning, match="on but for rounding"):
-        problem = ContactProblem(mesh, Laplace(1.0), "left", Obstacle("bottom", (1.0,), 1.0))
+        problem = rm.ContactProblem(mesh, rm.Laplace(1.0), "left", rm.Obstacle("bottom", (1.0,), 1.0))
     assert np.max(np.abs(problem.mesh.p - mesh.p)) < 1e-5 * size
     _, tangents = sliding_directions(problem)
     sides = [np.unique(mesh.facets[:, facets]) for facets in mesh.boundaries.values()]

@@ -1,19 +1,11 @@
 """Records of one example on one grid with the same move limits and rule: names, and cells of tables."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
 
 from rmesh_nlp.io.records import Records
-from rmesh_nlp.report.blocks import (
-    Case,
-    block_key,
-    blocks,
-    delta_text,
-    label,
-)
+from rmesh_nlp.report.blocks import Case, block_key, blocks, delta_text, label
 from rmesh_nlp.report.columns import KINDS, Column
 from rmesh_nlp.report.tables import sections_of
 from support.reporting import designed, fixed_61, joint_61, joint_62

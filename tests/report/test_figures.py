@@ -1,7 +1,5 @@
 """Figures: they exist, show the data they are made from, in space as it is, and can be read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -15,28 +13,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from rmesh_nlp.errors import BadInputError
+import rmesh_nlp as rm
 from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import MeshState, SolutionFields, read_vtu, state_of
 from rmesh_nlp.meshes.geometry import lines_of
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.units import Units
-from rmesh_nlp.report.blocks import Case, blocks
+from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure
-from rmesh_nlp.report.drawing import (
-    DrawnBody,
-    contact_figure,
-    displacement_figure,
-    window,
-)
+from rmesh_nlp.report.drawing import DrawnBody, contact_figure, displacement_figure, window
 from rmesh_nlp.report.figures import block_figures, error_figure
 from rmesh_nlp.report.figures import figures as figures_of
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import SETTINGS, Page, add_legend, new_figure, write
 from rmesh_nlp.solving.plotting import course, draw_along, draw_elements, draw_mesh, draw_nodal
-from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.formulations import fixed
 from support.orders import ORDERS
@@ -107,7 +97,7 @@ def test_missing_or_broken_solution_file_is_named(tmp_path, content) -> None:
     path = tmp_path / "it.vtu"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(BadInputError, match=r"it\.vtu"):
+    with pytest.raises(rm.BadInputError, match=r"it\.vtu"):
         list(figures_of([Result(joint_61(), path, tmp_path / "it.csv")], PAGE))
 
 
@@ -226,22 +216,22 @@ BELOW = 0.002
 
 
 @cache
-def pressed(rise: float, order: int = 1) -> Solution:
+def pressed(rise: float, order: int = 1) -> rm.Solution:
     """A block pressed onto a flat foundation; its bottom rises by ``rise`` to both sides."""
-    mesh = rectangle(6, 2, x=(-1, 1))
+    mesh = rm.shapes.rectangle(6, 2, x=(-1, 1))
     x, y = mesh.p
-    problem = ContactProblem(
+    problem = rm.ContactProblem(
         mesh=replace(mesh, doflocs=np.stack([x, y + rise * x**2 * (1 - y)])),
-        law=PlaneStrain.from_young(1000.0, 0.3),
-        dirichlet=(Dirichlet("top", (0.0, -0.01)),),
-        obstacle=Obstacle.line("bottom", (0.0, -BELOW), (0.0, 1.0)),
-        motion=Motion(0.1),
+        law=rm.PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet=(rm.Dirichlet("top", (0.0, -0.01)),),
+        obstacle=rm.Obstacle.line("bottom", (0.0, -BELOW), (0.0, 1.0)),
+        motion=rm.Motion(0.1),
         order=order,
     )
     return fixed.solve(problem)
 
 
-def drawings(solution: Solution, folder: Path) -> Sequence[Axes]:
+def drawings(solution: rm.Solution, folder: Path) -> Sequence[Axes]:
     """Both pictures that show the deformed body."""
     result = saved(solution, folder)
     meshes = next(figure for name, figure in pictures(result, PAGE) if name == "mesh")
@@ -254,9 +244,7 @@ def drawings(solution: Solution, folder: Path) -> Sequence[Axes]:
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("rise", "factor"), [(0.0, 10), (0.3, 1)])
-def test_flat_foundation_stays_flat_and_is_touched(
-    rise: float, factor: int, order: int, tmp_path: Path
-) -> None:
+def test_flat_foundation_stays_flat_and_is_touched(rise, factor, order, tmp_path):
     solution = pressed(rise, order)
     assert np.any(solution.final.pressure > 0)
     for axis in drawings(solution, tmp_path):
@@ -273,7 +261,7 @@ def test_flat_foundation_stays_flat_and_is_touched(
 
 @pytest.mark.parametrize(("below", "is_far"), [(0.55, False), (0.65, True)])
 def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, is_far: bool) -> None:
-    problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
+    problem = replace(pressed(0.0).problem, obstacle=rm.Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
     none = np.zeros(problem.mesh.p.shape[1])
     block = DrawnBody(
         "", problem.mesh.t, state_of(problem, problem.mesh.p, np.stack([none, none]), none, none)
@@ -312,7 +300,7 @@ def test_half_section_has_its_axis() -> None:
 @pytest.mark.parametrize("fine", [True, False])
 def test_lines_of_fine_meshes_are_rasterised_and_fields_always(fine, monkeypatch) -> None:
     monkeypatch.setattr("rmesh_nlp.solving.plotting.FINE", 1 if fine else 100)
-    mesh, axis = rectangle(3, 2), new_figure(2, 2).subplots()
+    mesh, axis = rm.shapes.rectangle(3, 2), new_figure(2, 2).subplots()
     draw_mesh(axis, mesh.p, mesh.t)
     assert all(line.get_rasterized() is fine for line in axis.lines)
     assert mesh.p.shape[1] == mesh.t.shape[1]  # the number of values does not tell what they belong to
@@ -380,13 +368,3 @@ def test_other_boundaries_are_drawn_over_a_coordinate_or_the_arc_length() -> Non
     assert course(slanted, Units("m"))[0] == "arc length from (0, 0) [m]"
     draw_along(axis, nodes, lines, nodes[1], over)
     assert np.isnan(axis.lines[1].get_ydata()[3])  # lines apart stay apart
-
-
-@pytest.mark.slow
-def test_names_of_figures_have_no_weight_of_a_distortion(tmp_path: Path) -> None:
-    result = saved(pressed(0.0), tmp_path)
-    known = {"formulation": "joint", "key": "a-joint-1_0.1", "objective": "energy + 0.0109 shape-size"}
-    record = {**result.record, **known, "example": "a", "n": "9", "regularisation": [1.0, 0.1]}
-    block, results = Case((record,)), [replace(result, record=record)]
-    names = [name for name, _ in block_figures(block, results, PAGE)]
-    assert names == ["a-9-joint, regularised-grid", "a-9-regularised-stress", "a-9-regularised-convergence"]

@@ -1,7 +1,5 @@
 """The page of a folder: self-contained, with everything in it, operated in a real browser."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

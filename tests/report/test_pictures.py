@@ -11,13 +11,11 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+import rmesh_nlp as rm
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report.curves import design_figure, estimates_figure
 from rmesh_nlp.report.drawing import DrawnBody
 from rmesh_nlp.report.figures import figure_of_designs
@@ -32,14 +30,14 @@ from support.formulations import fixed, joint, nested
 from support.reporting import designed, saved
 
 
-def membrane() -> ContactProblem:
+def membrane() -> rm.ContactProblem:
     """A membrane on an obstacle in the interior, with a disc of contact."""
-    return ContactProblem(
-        mesh=rectangle(6, 6, x=(-1, 1), y=(-1, 1)),
-        law=Laplace(-4.0),
+    return rm.ContactProblem(
+        mesh=rm.shapes.rectangle(6, 6, x=(-1, 1), y=(-1, 1)),
+        law=rm.Laplace(-4.0),
         dirichlet=("left", "right", "top", "bottom"),
-        obstacle=Obstacle.interior(-0.3),
-        motion=Motion(Relative(0.2)),
+        obstacle=rm.Obstacle.interior(-0.3),
+        motion=rm.Motion(rm.Relative(0.2)),
     )
 
 
@@ -68,7 +66,7 @@ def test_a_solve_has_its_pictures_and_every_letter_is_legible(make, tmp_path: Pa
 @pytest.mark.slow
 def test_nothing_that_is_zero_is_drawn(tmp_path: Path) -> None:
     # held and not loaded: no displacement, no stress, no pressure; and nothing moved
-    rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))
+    rest = replace(membrane(), law=rm.Laplace(0.0), obstacle=rm.Obstacle.interior(-1.0))
     assert [name for name, _ in pictures(saved(fixed.solve(rest), tmp_path), Page())] == ["mesh"]
     drawn = pictures(saved(fixed.solve(membrane()), tmp_path), Page())
     assert [name for name, _ in drawn] == ["mesh", "displacement", "flux"]
@@ -95,7 +93,7 @@ def test_the_contact_set_of_a_membrane_is_where_it_touches(tmp_path: Path) -> No
 
 
 def test_nodes_are_at_their_limits_if_multipliers_count() -> None:
-    problem = replace(membrane(), motion=Motion(None))
+    problem = replace(membrane(), motion=rm.Motion(None))
     fields = {"mobility": MeshMap.of(problem).mobility, "triangles": problem.mesh.t}
     nodes = np.flatnonzero(limits(SimpleNamespace(**fields, multipliers=None)) == Limit.NOTHING)
     push, nothing = np.zeros(problem.mesh.p.shape[1]), np.zeros(problem.mesh.t.shape[1])
@@ -162,7 +160,7 @@ def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
-    problem = replace(block(E, H0, BOW, n=(4, 1)), motion=Motion(0))
+    problem = replace(block(E, H0, BOW, n=(4, 1)), motion=rm.Motion(0))
     solution = nested.solve(problem, objective="mean(right, uy**2)", limits={"iterations": 2})
     drawn = dict(pictures(saved(solution, tmp_path), Page()))
     assert {"mesh", "pressure", "motion", "design"} <= set(drawn)
@@ -178,7 +176,7 @@ def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_both_sides_of_a_pair_are_in_fields_pictures_record_and_tables(order: int, tmp_path: Path) -> None:
-    problem = replace(pressed(stacked(3), order=order), units=Units("mm", "N"))
+    problem = replace(pressed(stacked(3), order=order), units=rm.Units("mm", "N"))
     solution = fixed.solve(problem)
     result = saved(solution, tmp_path)
     state = read_vtu(result.vtu).final
@@ -211,7 +209,7 @@ def test_both_sides_of_a_pair_are_in_fields_pictures_record_and_tables(order: in
 )
 def test_pictures_of_a_solution_have_the_units_of_its_problem(what: str, labels: list[str]) -> None:
     axes = new_figure(4, 4).subplots()
-    fixed.solve(replace(pressed(stacked()), units=Units("mm", "N"))).plot(what, axes)
+    fixed.solve(replace(pressed(stacked()), units=rm.Units("mm", "N"))).plot(what, axes)
     shown = [text.get_text() for text in axes.figure.findobj(Text)]
     assert set(labels) <= set(shown)
 

@@ -1,7 +1,5 @@
 """Profiles against ones computed by hand, what a study counts, and costs to a level that all reach."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

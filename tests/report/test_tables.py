@@ -1,7 +1,5 @@
 """Tables against literal text and a page, and the notes below them: each is said where records show it."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

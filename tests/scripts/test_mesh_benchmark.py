@@ -72,9 +72,7 @@ def test_plain_solver_agrees_with_the_package(name: str, order: int) -> None:
 @pytest.mark.parametrize(
     ("name", "order", "rate"), [("L-shape r^(2/3)", 2, 1.7), ("wedge", 2, 1.7), ("L-shape r^(2/3)", 1, 0.9)]
 )
-def test_refinement_gives_singular_solutions_the_rate_of_the_order(
-    name: str, order: int, rate: float
-) -> None:
+def test_refinement_gives_singular_solutions_the_rate_of_the_order(name, order, rate):
     case = {**cases.CASES, **cases.MORE}[name]
     mesh = case.problem(4).mesh
     found = list(plain.adaptive(case.equations, MeshTri(mesh.p, mesh.t), order, 1500))
@@ -118,29 +116,24 @@ def test_bounds_of_a_force_are_measured_on_meshes_of_both_orders(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_benchmark_measures_each_mesh_once_and_writes_its_table(tmp_path: Path, monkeypatch) -> None:
+@pytest.mark.parametrize(
+    ("script", "case", "row"),
+    [
+        (benchmark_mesh, "6.1", "| 6.1     |    81 |"),
+        (benchmark_order, "L-shape r^(2/3)", "| L-shape r^(2/3) |   225 |"),
+    ],
+)
+def test_benchmarks_measure_each_mesh_once_and_write_their_tables(script, case, row, tmp_path, monkeypatch):
     monkeypatch.setattr(cases, "FINE_NODES", 2000)
-    arguments = ["--cases", "6.1", "--levels", "1", "--out", str(tmp_path)]
-    assert benchmark_mesh.main(arguments) == 0
-    assert "| 6.1     |    81 |" in (tmp_path / "table.md").read_text()
-    assert (tmp_path / "best_mesh.png").stat().st_size > 0
-    kept = (tmp_path / "rows.jsonl").read_text()
-    assert '"remeshed, relocated"' in kept
-    assert benchmark_mesh.main(arguments) == 0
-    assert (tmp_path / "rows.jsonl").read_text() == kept
-
-
-@pytest.mark.slow
-def test_benchmark_of_orders_measures_both_and_writes_its_tables(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(benchmark_order, "MOST", {UNIFORM: 1000, ADAPTIVE: 1000})
-    arguments = ["--cases", "L-shape r^(2/3)", "--levels", "1", "--out", str(tmp_path)]
-    assert benchmark_order.main(arguments) == 0
-    table, kept = (tmp_path / "table.md").read_text(), (tmp_path / "rows.jsonl").read_text()
-    assert "| L-shape r^(2/3) |   225 |" in table
-    assert '"order": 1, "method": "remeshed, relocated"' in kept
-    assert benchmark_order.main(arguments) == 0
-    assert (tmp_path / "table.md").read_text() == table
-    assert (tmp_path / "rows.jsonl").read_text() == kept
+    found = []
+    for _ in range(2):
+        assert script.main(["--cases", case, "--levels", "1", "--out", str(tmp_path)]) == 0
+        found.append([(tmp_path / name).read_text() for name in ("table.md", "rows.jsonl")])
+    assert found[0] == found[1]
+    assert row in found[0][0]
+    assert '"remeshed, relocated"' in found[0][1]
+    assert script is benchmark_order or (tmp_path / "best_mesh.png").stat().st_size > 0
 
 
 def test_factors_and_rates_of_orders_are_at_equal_unknowns() -> None:

@@ -1,7 +1,5 @@
 """What is attainable before anything moves, and how near a solution comes to it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Starts, what is assessed of an end, and what follows: valid, improved, stationary."""
 
-from __future__ import annotations
-
 import signal
 from dataclasses import replace
 from typing import Any
@@ -15,15 +13,12 @@ from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.measures import EXPLOITS, ContactResiduals, residuals
 from rmesh_nlp.contact.system import ContactSystem, OwnState
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, PlaneStrain
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.assessment import EXPLOITED, FAILURES
-from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from support.conclusions import BROKEN, compared
 from support.endings import Ends, ended
@@ -91,7 +86,7 @@ def test_what_follows_from_measurements(kind: str) -> None:
 
 
 def test_a_rise_of_a_distortion_that_was_zero_is_measured_in_units_of_its_density() -> None:
-    outer = Outer.of(EXAMPLES["6.1"](2), "3*elastic")
+    outer = Outer.of(rm.EXAMPLES["6.1"](2), "3*elastic")
     found = ended(outer, np.zeros(outer.n))
     assert found.given.objective_audited == 0
     for rise, improved in ((1e-17, True), (2e-9, True), (4e-9, False)):
@@ -116,7 +111,7 @@ def test_what_was_exploited_is_the_correction_that_costs_most(name: str) -> None
 @pytest.mark.parametrize("given_is_sick", [True, False])
 def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(given_is_sick, monkeypatch) -> None:
     """Of either mesh: a gain is a difference of four of them."""
-    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
+    outer = Outer.of(rm.EXAMPLES["6.2"]((4, 2)))
     found, q = outer.initial, np.full(outer.n, 0.01)
     sick = replace(found, state=replace(found.state, status=Status.CYCLED))
 
@@ -137,16 +132,16 @@ def pressed(*_: Any) -> Any:
 def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(sign, when, monkeypatch) -> None:
     """``during`` the solve the mesh as given takes the place of a worse end, ``after`` it the audit ends."""
 
-    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+    def end(outer: Outer, q: Array, monitor: rm.Monitor) -> rm.Outcome:
         to = q + 0.5 * sign * np.sign(outer.energy(q).gradient) * outer.discretisation.mesh_map.upper
         if when == "during":
             monitor.attempt(pressed)
         else:
             assess = driver.assess
             monkeypatch.setattr(driver, "assess", lambda *a, **k: pressed() or assess(*a, **k))
-        return Outcome(outer, to, Status.CONVERGED)
+        return rm.Outcome(outer, to, Status.CONVERGED)
 
-    found = solve_once(EXAMPLES["6.2"]((4, 2)), Ends(end))
+    found = solve_once(rm.EXAMPLES["6.2"]((4, 2)), Ends(end))
     good = when == "during"
     assert (found.status, found.success, found.assessment.improved) == (Status.INTERRUPTED, good, good)
     assert ("no success, unaudited" in found.message) == (not good)
@@ -241,12 +236,12 @@ def test_equilibrium_is_the_largest_force_out_of_balance(load, normal, friction,
 
 @pytest.fixture(scope="module")
 def outer() -> Outer:
-    return Outer.of(EXAMPLES["6.3"]((4, 2)))
+    return Outer.of(rm.EXAMPLES["6.3"]((4, 2)))
 
 
 @pytest.mark.parametrize("step", [-1e-3, 1e-3])
 def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_the_start(outer, step) -> None:
-    start, track = np.zeros(outer.n), Monitor().track(outer)
+    start, track = np.zeros(outer.n), rm.Monitor().track(outer)
     gradient = outer.energy(start).gradient
     q = step * gradient / np.max(np.abs(gradient))
     track(1, np.append(q, np.zeros(outer.relocation.parts.n_u)), 0.0, np.zeros(0))
@@ -255,7 +250,7 @@ def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_t
 
 def test_an_iterate_whose_elements_are_inverted_is_never_kept() -> None:
     wide = Outer.of(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))
-    start, track = np.zeros(wide.n), Monitor().track(wide)
+    start, track = np.zeros(wide.n), rm.Monitor().track(wide)
     folded = np.random.default_rng(5).uniform(-1, 1, wide.n)
     assert not wide.is_valid(folded)
     here = wide.energy(start)
@@ -325,7 +320,7 @@ class TestAssessment:
         assert still["cold_contact_solves"] == 1
         assert (still["status"], still["stationarity_residual"]) == ("converged", None)  # at rest
         assert still["contact_factorisations"] == outer.contact.given.iterations
-        smooth = Outer.of(EXAMPLES["6.2"]((4, 2)))
+        smooth = Outer.of(rm.EXAMPLES["6.2"]((4, 2)))
         assert ended(smooth, np.zeros(smooth.n)).final.sliding_nodes is None
 
     def test_own_residuals_are_those_of_the_formulation_s_state(self, outer: Outer) -> None:

@@ -1,7 +1,5 @@
 """Designs: derivatives, closed forms, constraints, levels, and what is said of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -10,10 +8,8 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Evaluator
-from rmesh_nlp.meshes import shapes
 from rmesh_nlp.models.kkt_model import bilevel
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
 from rmesh_nlp.solving.outer import Outer
 from support.designs import BOW, DESIGNS, H0, LIMITED, E, F, block, largest_mean
@@ -29,7 +25,7 @@ def column(*design: rm.DesignVariable, constraints: tuple[rm.Constraint, ...] = 
     names = {variable.name: variable.symbol for variable in design}
     lift, young = names.get("lift", 0.01), YOUNG * names.get("E", 1.0)
     return rm.ContactProblem(
-        mesh=shapes.rectangle(2, 1, x=(0, WIDTH), y=(0, HEIGHT)),
+        mesh=rm.shapes.rectangle(2, 1, x=(0, WIDTH), y=(0, HEIGHT)),
         law=rm.PlaneStress.from_young(young, 0.0),
         dirichlet=(rm.Dirichlet("top", (None, 0.0)), rm.Dirichlet("left", (0.0, None))),
         obstacle=rm.Obstacle("bottom", (0, 1), -lift),
@@ -51,7 +47,7 @@ def lifted() -> rm.Solution:
 
 def test_prescribed_resultant() -> None:
     found = lifted()
-    assert found.status is Status.CONVERGED
+    assert found.status is rm.Status.CONVERGED
     assert found.design["lift"] == pytest.approx(30 * HEIGHT / (YOUNG * WIDTH), rel=1e-5)
     assert found.record()["resultant"] == pytest.approx(30, rel=1e-5)
     assert not found.problem.design
@@ -66,7 +62,7 @@ def test_constraint_of_two_variables(formulation: str) -> None:
     loose = rm.Constraint("design(lift)", (-np.inf, 0.09))
     problem = column(LIFT, STIFF, constraints=(carries, lifts, loose))
     found = rm.solve(problem, formulation, objective="design(E**2)")
-    assert found.status is Status.CONVERGED
+    assert found.status is rm.Status.CONVERGED
     assert found.design["lift"] == pytest.approx(0.04, rel=1e-4)
     assert found.design["E"] == pytest.approx(60 * HEIGHT / (YOUNG * WIDTH * 0.04), rel=1e-4)
     # the multipliers of the constraints, one active from below, one from above, prove it in two ways
@@ -83,7 +79,7 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     problem = replace(block(H0, BOW, n=(4, 1), constraints=(constraint,)), motion=rm.Motion(0))
     found = rm.solve(problem, formulation, objective="max-pressure(bottom)")
     record = found.record()
-    assert found.status is Status.CONVERGED
+    assert found.status is rm.Status.CONVERGED
     assert record["objective_value"] == pytest.approx(largest_mean(found.problem), rel=1e-6)
     assert record["objective_initial"] == pytest.approx(largest_mean(problem.at_design()), rel=1e-9)
     assert record["peak_pressure"] < 0.9 * record["peak_pressure_initial"]
@@ -131,7 +127,7 @@ def test_designs_leave_given_displacements_admissible() -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
     lift = rm.DesignVariable("lift", 0.0, (-0.01, 0.01))
     problem = rm.ContactProblem(
-        mesh=shapes.rectangle(2, 1, x=(0, 3), y=(0, 1)),
+        mesh=rm.shapes.rectangle(2, 1, x=(0, 3), y=(0, 1)),
         law=rm.PlaneStrain.from_young(1000.0, 0.3),
         dirichlet="left",
         obstacle=rm.Obstacle.graph("bottom", lambda x, y: lift.symbol - 0.001 * x),
@@ -140,7 +136,7 @@ def test_designs_leave_given_displacements_admissible() -> None:
         design=lift,
     )
     found = rm.solve(problem, "nested", objective="mean(right, -uy)")
-    assert found.status is Status.CONVERGED
+    assert found.status is rm.Status.CONVERGED
     assert found.design["lift"] == pytest.approx(0.0, abs=1e-5)
 
 

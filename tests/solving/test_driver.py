@@ -1,7 +1,5 @@
 """The driver of all formulations, with the one of docs/own_formulation.md as a third party writes it."""
 
-from __future__ import annotations
-
 import itertools
 import signal
 from contextlib import suppress
@@ -12,20 +10,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations.multistart import MultiStart
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize import budget
 from rmesh_nlp.optimize.budget import Limits, checkpoint
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, LoadStep, Obstacle, Traction
 from rmesh_nlp.solving import driver
-from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.endings import Chooses, Ends
 from support.formulations import alternating
@@ -35,16 +25,16 @@ Alternating = alternating()
 
 
 @pytest.fixture(scope="module")
-def problem() -> ContactProblem:
-    return EXAMPLES["6.2"]((4, 2))
+def problem() -> rm.ContactProblem:
+    return rm.EXAMPLES["6.2"]((4, 2))
 
 
 @pytest.mark.slow
-def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactProblem) -> None:
+def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: rm.ContactProblem) -> None:
     seen: list[Step] = []
-    solution = solve(problem, Alternating(first_step=0.1), tolerance=3e-2, on_step=seen.append)
+    solution = rm.solve(problem, Alternating(first_step=0.1), tolerance=3e-2, on_step=seen.append)
     record = solution.record()
-    assert solution.status is Status.CONVERGED
+    assert solution.status is rm.Status.CONVERGED
     assert solution.assessment.gain_audited > 0.9 * solved("joint", "6.2", (4, 2)).assessment.gain_audited
     assert (record["formulation"], record["start"]) == ("alternating", "given")
     assert record["settings"] == {"first_step": 0.1}
@@ -60,29 +50,29 @@ def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactPro
 
 def test_derivatives_that_are_no_numbers_end_in_a_row_that_says_so() -> None:
     """The derivative of 1 / (1 + exp(-k x)) is inf / inf where the power overflows."""
-    problem = ContactProblem(
-        rectangle(4, 2, x=(0, 2)),
-        Laplace(-1.0),
+    problem = rm.ContactProblem(
+        rm.shapes.rectangle(4, 2, x=(0, 2)),
+        rm.Laplace(-1.0),
         ("bottom",),
-        Obstacle("right", (1.0,), 0.5),
-        tractions=(Traction("top", (lambda x, y: -6 / (1 + ca.exp(-1e9 * (x - 1.7123))),)),),
+        rm.Obstacle("right", (1.0,), 0.5),
+        tractions=(rm.Traction("top", (lambda x, y: -6 / (1 + ca.exp(-1e9 * (x - 1.7123))),)),),
     )
-    solution = solve(problem, "joint")
-    assert (solution.status, solution.success) == (Status.EVALUATION_ERROR, False)
+    solution = rm.solve(problem, "joint")
+    assert (solution.status, solution.success) == (rm.Status.EVALUATION_ERROR, False)
 
 
 @pytest.mark.parametrize(
     ("limits", "status"),
-    [(Limits(iterations=3), Status.ITERATION_LIMIT), (Limits(seconds=1e-6), Status.TIME_LIMIT)],
+    [(Limits(iterations=3), rm.Status.ITERATION_LIMIT), (Limits(seconds=1e-6), rm.Status.TIME_LIMIT)],
 )
 @pytest.mark.parametrize("around", [lambda inner: inner, lambda inner: MultiStart(inner, 2)])
 def test_limits_hold_for_it_and_for_what_wraps_it(problem, limits, status, around) -> None:
-    solution = solve(problem, around(Alternating()), limits=limits)
+    solution = rm.solve(problem, around(Alternating()), limits=limits)
     assert (solution.status, solution.success) == (status, True)
     assert solution.trace.iterations == (limits.iterations or 0)
     assert solution.record()["limits"] == limits.changed()
     assert solution.assessment.gain_audited >= 0
-    assert (solution.assessment.gain_audited > 0) == (status is Status.ITERATION_LIMIT)
+    assert (solution.assessment.gain_audited > 0) == (status is rm.Status.ITERATION_LIMIT)
 
 
 @pytest.mark.parametrize("during", ["reduced_error", "surviving_gain"])
@@ -91,8 +81,8 @@ def test_ctrl_c_after_the_assessment_keeps_the_solution(problem, during, monkeyp
         raise KeyboardInterrupt
 
     monkeypatch.setattr(driver, during, press)
-    solution = solve(problem, certify=True)
-    assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+    solution = rm.solve(problem, certify=True)
+    assert (solution.status, solution.success) == (rm.Status.INTERRUPTED, True)
     assert solution.energy == solved("joint", "6.2", (4, 2)).energy
     assert (solution.error_reduction is None) == (during == "reduced_error")
     assert solution.certificate is solution.certificate_remark is None  # nothing more is begun
@@ -105,10 +95,10 @@ def test_a_time_limit_ends_audits_and_what_follows(formulation, share, monkeypat
     monkeypatch.setattr("time.perf_counter", lambda: float(next(looks)))
     monkeypatch.setattr(budget, "LEAST_AUDIT", 0.0)
     monkeypatch.setattr(driver, "MOST", 2000)
-    body = EXAMPLES["6.2"]((4, 2))
-    whole = solve(body, formulation, limits=Limits(seconds=1e9, iterations=2), certify=True)
+    body = rm.EXAMPLES["6.2"]((4, 2))
+    whole = rm.solve(body, formulation, limits=Limits(seconds=1e9, iterations=2), certify=True)
     most = share * whole.trace.wall_time_s
-    found = solve(body, formulation, limits=Limits(most, 2), certify=True)
+    found = rm.solve(body, formulation, limits=Limits(most, 2), certify=True)
     row, is_audited = found.record(), bool(np.isfinite(found.energy_audited))
     assert found.trace.wall_time_s < most + 15
     assert (found.valid, found.success, found.energy_initial) == (True, is_audited, whole.energy_initial)
@@ -117,9 +107,9 @@ def test_a_time_limit_ends_audits_and_what_follows(formulation, share, monkeypat
 
 
 def test_a_limit_before_the_last_load_step_is_no_success() -> None:
-    loads = (Traction("top", (0.0, -30.0)),)
-    body = replace(EXAMPLES["6.3"]((4, 2)), steps=(LoadStep(tractions=loads),))
-    found = solve(body, "fixed", limits=Limits(seconds=1e-6))
+    loads = (rm.Traction("top", (0.0, -30.0)),)
+    body = replace(rm.EXAMPLES["6.3"]((4, 2)), steps=(rm.LoadStep(tractions=loads),))
+    found = rm.solve(body, "fixed", limits=Limits(seconds=1e-6))
     assert not found.success
     assert found.message.endswith("It ended before the last load step.")
 
@@ -127,19 +117,19 @@ def test_a_limit_before_the_last_load_step_is_no_success() -> None:
 def test_ctrl_c_in_an_audit_keeps_the_mesh(problem, monkeypatch) -> None:
     monkeypatch.setattr(budget, "LEAST_AUDIT", 0.0)
 
-    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+    def end(outer: rm.Outer, q: Array, monitor: rm.Monitor) -> rm.Outcome:
         to = q - 0.1 * np.sign(outer.energy(q).gradient) * outer.discretisation.mesh_map.upper
         monkeypatch.setattr(
-            Outer, "continuous", lambda *_: signal.raise_signal(signal.SIGINT) or checkpoint()
+            rm.Outer, "continuous", lambda *_: signal.raise_signal(signal.SIGINT) or checkpoint()
         )
-        return Outcome(outer, to, Status.CONVERGED)
+        return rm.Outcome(outer, to, rm.Status.CONVERGED)
 
-    found = solve(problem, Ends(end))
-    assert (found.status, found.success) == (Status.INTERRUPTED, False)
+    found = rm.solve(problem, Ends(end))
+    assert (found.status, found.success) == (rm.Status.INTERRUPTED, False)
     assert found.energy < found.energy_initial
 
 
-def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactProblem) -> None:
+def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: rm.ContactProblem) -> None:
     """CasADi drops a KeyboardInterrupt that comes while it looks at an attribute: here of the formulation."""
 
     def press(step: Step) -> None:
@@ -147,39 +137,39 @@ def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactPro
             with suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
 
-    solution = solve(problem, Alternating(), on_step=press)
-    assert (solution.status, solution.success, solution.trace.iterations) == (Status.INTERRUPTED, True, 2)
+    solution = rm.solve(problem, Alternating(), on_step=press)
+    assert (solution.status, solution.success, solution.trace.iterations) == (rm.Status.INTERRUPTED, True, 2)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["tracked", "raised"])
-def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) -> None:
+def test_what_is_stopped_is_never_made_worse(problem: rm.ContactProblem, way: str) -> None:
     """A formulation that only goes uphill."""
 
-    def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+    def end(outer: rm.Outer, q: Array, monitor: rm.Monitor) -> rm.Outcome:
         to = 0.5 * np.sign(outer.function(q).gradient) * outer.discretisation.mesh_map.upper
         monitor.track(outer).exact(0, to)
         if way == "raised":
             raise KeyboardInterrupt
-        return Outcome(outer, to, Status.CONVERGED)
+        return rm.Outcome(outer, to, rm.Status.CONVERGED)
 
-    stopped = solve(problem, Ends(end), limits=Limits(seconds=1e-6))
-    assert stopped.status in (Status.TIME_LIMIT, Status.INTERRUPTED)
+    stopped = rm.solve(problem, Ends(end), limits=Limits(seconds=1e-6))
+    assert stopped.status in (rm.Status.TIME_LIMIT, rm.Status.INTERRUPTED)
     assert stopped.success
     np.testing.assert_array_equal(stopped.mesh.p, problem.mesh.p)
     if way != "raised":  # what ends by itself is shown as it is, but not by what chose the formulation
-        worse = solve(problem, Ends(end))
-        assert (worse.status, worse.success) == (Status.WORSE, False)
-        given = solve(problem, Chooses(end))
-        assert (given.status, given.success) == (Status.STALLED, True)
+        worse = rm.solve(problem, Ends(end))
+        assert (worse.status, worse.success) == (rm.Status.WORSE, False)
+        given = rm.solve(problem, Chooses(end))
+        assert (given.status, given.success) == (rm.Status.STALLED, True)
         np.testing.assert_array_equal(given.mesh.p, problem.mesh.p)
 
 
-def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> None:
-    solution = solve(problem, Ends(lambda outer, q, _: Outcome(outer, q + 50.0, Status.CONVERGED)))
+def test_an_invalid_end_is_reported_and_not_hidden(problem: rm.ContactProblem) -> None:
+    solution = rm.solve(problem, Ends(lambda outer, q, _: rm.Outcome(outer, q + 50.0, rm.Status.CONVERGED)))
     found, final = solution.assessment, solution.assessment.final
-    assert found.status is Status.INVALID_MESH
+    assert found.status is rm.Status.INVALID_MESH
     assert (found.valid, found.improved, found.success) == (False, False, False)
     assert np.all(np.isnan([*final.displacement.ravel(), *final.pressure, final.energy]))
     assert final.min_area_ratio < 0
@@ -187,14 +177,14 @@ def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> N
 
 
 @pytest.mark.slow
-def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: ContactProblem) -> None:
-    begun: list[tuple[Outer, Array]] = []
+def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: rm.ContactProblem) -> None:
+    begun: list[tuple[rm.Outer, Array]] = []
 
-    def end(outer: Outer, q: Array, _: Monitor) -> Outcome:
+    def end(outer: rm.Outer, q: Array, _: rm.Monitor) -> rm.Outcome:
         begun.append((outer, q))
-        return Outcome(outer, q, Status.CONVERGED)
+        return rm.Outcome(outer, q, rm.Status.CONVERGED)
 
-    first, then = solved("joint", "6.2", (4, 2)), solve(problem, Ends(end), start="joint")
+    first, then = solved("joint", "6.2", (4, 2)), rm.solve(problem, Ends(end), start="joint")
     ((outer, q),) = begun
     assert outer.is_near
     np.testing.assert_allclose(outer.nodes(q), first.mesh.p, atol=1e-12)
@@ -206,17 +196,17 @@ def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: Contact
     [({"energy": -1e9}, "the driver itself writes energy"), ({"a": {1}}, "type set is not JSON")],
 )
 def test_what_the_driver_measures_is_not_written_over(details: dict[str, object], words: str) -> None:
-    outer = Outer.of(EXAMPLES["6.1"](2))
-    with pytest.raises(BadInputError, match=words):
-        Outcome(outer, np.zeros(outer.n), Status.CONVERGED, details=details)
+    outer = rm.Outer.of(rm.EXAMPLES["6.1"](2))
+    with pytest.raises(rm.BadInputError, match=words):
+        rm.Outcome(outer, np.zeros(outer.n), rm.Status.CONVERGED, details=details)
 
 
 @pytest.mark.parametrize("formulation", ["fixed", "nested"])
 def test_without_an_audit_the_solution_is_the_solver_s_and_no_success(problem, formulation) -> None:
-    whole, alone = solve(problem, formulation), solve(problem, formulation, audit=False)
+    whole, alone = rm.solve(problem, formulation), rm.solve(problem, formulation, audit=False)
     assert np.array_equal(alone.mesh.p, whole.mesh.p)
     assert alone.energy == whole.energy
-    assert (alone.status, alone.success, alone.valid) == (Status.UNAUDITED, False, True)
+    assert (alone.status, alone.success, alone.valid) == (rm.Status.UNAUDITED, False, True)
     record = alone.record()
     assert record["energy_audited"] is record["gain_audited"] is None
     assert (record["status"], record["solver_status"]) == ("unaudited", whole.record()["solver_status"])
@@ -225,5 +215,5 @@ def test_without_an_audit_the_solution_is_the_solver_s_and_no_success(problem, f
 
 @pytest.mark.parametrize("wrong", [{"audit": 1}, {"audit": False, "certify": True}])
 def test_an_audit_is_a_flag_and_a_certificate_needs_one(problem, wrong) -> None:
-    with pytest.raises(BadInputError, match="audit"):
-        solve(problem, "fixed", **wrong)
+    with pytest.raises(rm.BadInputError, match="audit"):
+        rm.solve(problem, "fixed", **wrong)

@@ -1,7 +1,5 @@
 """What a solution says of itself: fields, record, summary; Taylor tests and the terms of Theorem 4.1."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import sys
@@ -16,23 +14,17 @@ import rmesh_nlp as rm
 from gallery import signorini
 from rmesh_nlp.assessment.contact_results import ContactResult
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.records import read_record, to_json
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem import Constraint, ContactProblem, Laplace, Motion
-from rmesh_nlp.problem.units import Units
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
-from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Bounds, Certificate, Step, Trace, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.relocated import Relocated
-from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.summary import contact_rows, summary
 from rmesh_nlp.solving.verification import TaylorTest, error_terms, verify_gradient
 from rmesh_nlp.study.progress import summary as one_line
@@ -46,11 +38,11 @@ from support.solved import solved
 
 
 @pytest.fixture(scope="module")
-def solution() -> Solution:
+def solution() -> rm.Solution:
     return solved("joint", "6.2", (4, 2))
 
 
-def test_record_and_table_are_of_what_was_found_alone(solution: Solution) -> None:
+def test_record_and_table_are_of_what_was_found_alone(solution: rm.Solution) -> None:
     """They stand above it: what a solve found has neither."""
     found = Relocated(**{name: value for name, value in vars(solution).items() if name != "error_terms"})
     assert (found.given, found.final) == (solution.assessment.given, solution.assessment.final)
@@ -59,12 +51,12 @@ def test_record_and_table_are_of_what_was_found_alone(solution: Solution) -> Non
     assert len(found.history) == len(found.trace.steps) > found.trace.iterations
 
 
-def test_figures_are_those_of_the_solution(solution: Solution) -> None:
+def test_figures_are_those_of_the_solution(solution: rm.Solution) -> None:
     assessment = solution.assessment
     made = replace(
         solution, seed=5,
         trace=replace(solution.trace, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0),
-        details={"own": np.float64(2.5)}, limits=Limits(iterations=9),
+        details={"own": np.float64(2.5)}, limits=rm.Limits(iterations=9),
         assessment=replace(
             assessment,
             given=with_energies(assessment.given, -1.0, -2.0),
@@ -147,7 +139,7 @@ def test_a_violated_constraint_is_named() -> None:
     assert found.constraints["area"].violation == pytest.approx(1 / 6)
 
 
-def test_a_variable_at_its_bound_is_said_to_be_there(solution: Solution) -> None:
+def test_a_variable_at_its_bound_is_said_to_be_there(solution: rm.Solution) -> None:
     designed = block(E, BOW)
     for value, words in ((2.0, "2, at its bound, from 1"), (1.99, "1.99 from 1")):
         found = solution.assessment
@@ -157,7 +149,7 @@ def test_a_variable_at_its_bound_is_said_to_be_there(solution: Solution) -> None
         assert "design variable bow" not in rows  # a level of an epigraph has no row either
 
 
-def test_success_says_what_it_lacks(solution: Solution) -> None:
+def test_success_says_what_it_lacks(solution: rm.Solution) -> None:
     early = Status.ITERATION_LIMIT
     ends = [compared(), compared(early, stationary=False), compared(contact=early)]
     made = [replace(solution, assessment=end) for end in ends]
@@ -169,7 +161,7 @@ def test_success_says_what_it_lacks(solution: Solution) -> None:
 
 
 def test_work_is_summed_over_all_outer_problems() -> None:
-    monitor, outer = Monitor(), Outer.of(EXAMPLES["6.2"]((4, 2)))
+    monitor, outer = rm.Monitor(), Outer.of(rm.EXAMPLES["6.2"]((4, 2)))
     monitor.work += Work(kkt_factorisations=7)
     for other in (outer, outer.near(), Outer.of(outer.problem)):  # a start that is near is no other problem
         monitor.tracked(other).energy(np.zeros(outer.n))
@@ -187,7 +179,7 @@ def test_values_become_plain() -> None:
     assert [type(plain(value)) for value in given] == [type(value) for value in expected]
 
 
-def test_work_is_added_up_and_what_was_not_counted_is_not_in_the_record(solution: Solution) -> None:
+def test_work_is_added_up_and_what_was_not_counted_is_not_in_the_record(solution: rm.Solution) -> None:
     total = Work(1, 1, 5) + Work(2, 3, 0, 7)
     assert total == Work(3, 4, 5, 7) + Work()
     assert vars(total).items() <= replace(solution, trace=Trace(work=total)).record().items()
@@ -263,7 +255,7 @@ def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -
 @pytest.mark.usefixtures("estimates_unasked")
 def test_contact_results_have_the_units_of_the_problem() -> None:
     def labels(example: str) -> list[str]:
-        problem = replace(EXAMPLES[example]((2, 2)), units=Units("mm", "N"))
+        problem = replace(rm.EXAMPLES[example]((2, 2)), units=rm.Units("mm", "N"))
         return [label for label, _ in contact_rows(fixed.solve(problem))]
 
     units = {"normal force": "N/mm", "peak pressure": "N/mm²", "contact length": "mm"}
@@ -286,7 +278,7 @@ def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure() -
 
 
 def test_a_solution_can_be_pickled_with_its_factors_and_its_audit() -> None:
-    found = fixed.solve(EXAMPLES["6.3"]((16, 8)))  # too large for dense factors
+    found = fixed.solve(rm.EXAMPLES["6.3"]((16, 8)))  # too large for dense factors
     again = pickle.loads(pickle.dumps(found))
     assert again.record() == found.record()
     assert again.final.continuous.continuous.solve().energy == pytest.approx(found.energy_audited, rel=1e-9)
@@ -352,7 +344,7 @@ def test_the_last_known_order_of_a_taylor_test_decides() -> None:
 
 def test_rounding_says_nothing_of_a_gradient() -> None:
     """The position of a node is linear: its remainders are rounding, and no order is known."""
-    problem = ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(0.05))
+    problem = ContactProblem(rm.shapes.rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(0.05))
     node = int(np.argmin(np.abs(problem.mesh.p - 1 / 3).sum(axis=0)))
     test = verify_gradient(problem, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 3.0))
     assert np.all(np.isnan(test.orders))
@@ -361,7 +353,7 @@ def test_rounding_says_nothing_of_a_gradient() -> None:
 
 
 def test_nothing_that_moves_is_refused() -> None:
-    problem = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
+    problem = ContactProblem(rm.shapes.rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
     with pytest.raises(ValueError, match="may move: there is no gradient"):
         verify_gradient(problem)
 
@@ -383,7 +375,7 @@ def test_with_friction_the_third_term_closes_the_sum(order: int) -> None:
 
 
 def test_the_terms_sum_to_the_energy_above_the_exact_one_whatever_the_rule() -> None:
-    one, two = (EXAMPLES["6.1"](4).with_rule(rule) for rule in (1, 8))
+    one, two = (rm.EXAMPLES["6.1"](4).with_rule(rule) for rule in (1, 8))
     terms = error_terms(one, one.mesh.p)
     assert terms == error_terms(two, two.mesh.p)
     assert terms["I3"] == 0
@@ -391,9 +383,7 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one_whatever_the_rule() -> 
     assert total(terms) == pytest.approx(terms["energy_above_exact"], rel=1e-5)  # but for the load by a rule
 
 
-def test_a_record_has_the_terms_and_their_time_and_a_broken_mesh_has_none(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_record_has_the_terms_and_their_time_and_a_broken_mesh_has_none(monkeypatch):
     found = solved("fixed", "6.1", 4)
     record, terms = found.record(), error_terms(found.problem, found.mesh.p)
     assert record.items() >= terms.items()
@@ -408,5 +398,5 @@ def test_a_record_has_the_terms_and_their_time_and_a_broken_mesh_has_none(
 
 
 def test_without_an_exact_solution_there_are_no_terms() -> None:
-    problem = EXAMPLES["6.2"]((6, 4))
+    problem = rm.EXAMPLES["6.2"]((6, 4))
     assert error_terms(problem, problem.mesh.p) == {}

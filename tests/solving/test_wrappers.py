@@ -1,7 +1,5 @@
 """Formulations that take one: what runs, from where, which end is the outcome, and what the record tells."""
 
-from __future__ import annotations
-
 import signal
 from dataclasses import replace
 from typing import Any
@@ -9,22 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations.multistart import MultiStart
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.regularisation import regularised
 from rmesh_nlp.models.remeshing import Solved, metric_start
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.solving.assess import assess
-from rmesh_nlp.solving.driver import solve
-from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
-from rmesh_nlp.solving.outer import Outer
 from support.endings import Ends
 from support.solved import solve_once
 
@@ -41,14 +34,14 @@ class Script:
 
     def __init__(self, *parts: float, stop: int = -1, tracks: bool = False) -> None:
         self.parts, self.stop, self.tracks = list(parts), stop, tracks
-        self.begun: list[tuple[Outer, Array]] = []
+        self.begun: list[tuple[rm.Outer, Array]] = []
         self.ends: list[Outcome] = []
 
     @property
     def formulation(self) -> Ends:
         return Ends(self)
 
-    def __call__(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+    def __call__(self, outer: rm.Outer, q: Array, monitor: rm.Monitor) -> Outcome:
         self.begun.append((outer, q))
         if len(self.begun) == self.stop:
             raise KeyboardInterrupt
@@ -56,7 +49,7 @@ class Script:
         end = -self.parts.pop(0) * slope / np.max(np.abs(slope))
         if self.tracks:
             monitor.track(outer).exact(len(self.begun), end)
-        self.ends.append(Outcome(outer, end, Status.CONVERGED, details={"own": len(self.ends)}))
+        self.ends.append(Outcome(outer, end, rm.Status.CONVERGED, details={"own": len(self.ends)}))
         return self.ends[-1]
 
 
@@ -65,9 +58,9 @@ class TestMultiStart:
 
     def made(
         self, problem: ContactProblem, objective: str = "energy", parts: Any = (0.1, 50.0, 0.4, 0.2)
-    ) -> tuple[Script, Outcome, Outer]:
-        script, outer = Script(*parts), Outer.of(problem, objective)
-        found = Monitor().run(MultiStart(script.formulation, len(parts) - 1), outer, np.zeros(outer.n))
+    ) -> tuple[Script, Outcome, rm.Outer]:
+        script, outer = Script(*parts), rm.Outer.of(problem, objective)
+        found = rm.Monitor().run(MultiStart(script.formulation, len(parts) - 1), outer, np.zeros(outer.n))
         return script, found, outer
 
     @pytest.mark.slow
@@ -104,7 +97,7 @@ class TestMultiStart:
         script = Script(0.3, 0.1, 0.1, stop=2)
         solution = solve_once(problem, MultiStart(script.formulation, 5))
         assert len(script.begun) == 2
-        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+        assert (solution.status, solution.success) == (rm.Status.INTERRUPTED, True)
         assert solution.record()["start_seeds"] == [None, 1]
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
@@ -135,7 +128,7 @@ def pressed(*_: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def given() -> ContactProblem:
-    return replace(EXAMPLES["6.1"](n=4), motion=Motion(None), quadrature=6)
+    return replace(rm.EXAMPLES["6.1"](n=4), motion=Motion(None), quadrature=6)
 
 
 class TestRemeshed:
@@ -151,38 +144,38 @@ class TestRemeshed:
         assert solution.trace.work.contact_solves == len(counts)  # the script counts none
         assert counts[-1] == nodes or min(energies) < energies[-1]
         np.testing.assert_array_equal(solution.final.before, outer.problem.mesh.p)
-        assert solution.energy_initial == pytest.approx(Outer.of(given).contact.given.energy, rel=1e-12)
+        assert solution.energy_initial == pytest.approx(rm.Outer.of(given).contact.given.energy, rel=1e-12)
         assert solution.assessment.gain_audited > 0
         assert solution.problem.mesh.boundaries.keys() == given.mesh.boundaries.keys()
 
     @pytest.mark.slow
     def test_ctrl_c_keeps_the_new_mesh(self, given: ContactProblem) -> None:
         inner = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
-        solution = solve(given, Remeshed(inner))
-        assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
+        solution = rm.solve(given, Remeshed(inner))
+        assert (solution.status, solution.success) == (rm.Status.INTERRUPTED, True)
         assert solution.assessment.gain_audited > 0
 
     @pytest.mark.slow
     def test_gain_and_audit_are_those_of_all_rounds(self, given: ContactProblem, monkeypatch) -> None:
         """From the mesh as given to one that suits the solution, whose energy is lower."""
-        first = Outer.of(given)
+        first = rm.Outer.of(given)
         made = metric_start(Solved(first.contact, first.contact.given), 25).solved.problem
-        there = Outer.of(made)
-        found = assess(first, Outcome(there, there.variables(), Status.CONVERGED))
+        there = rm.Outer.of(made)
+        found = assess(first, Outcome(there, there.variables(), rm.Status.CONVERGED))
         before, after = first.initial.energy, there.initial.energy
         assert (found.success, found.gain > 0) == (True, True)
         assert found.gain == pytest.approx(first.contact.given.energy - there.contact.given.energy, rel=1e-9)
         assert found.gain_audited == pytest.approx(before - after, rel=1e-9)
-        for rise, status in ((-1e-6, Status.STALLED), (1e-3, Status.EXPLOITED)):
-            again, raised = Outer.of(made), replace(there.initial, energy=before + rise)
+        for rise, status in ((-1e-6, rm.Status.STALLED), (1e-3, rm.Status.EXPLOITED)):
+            again, raised = rm.Outer.of(made), replace(there.initial, energy=before + rise)
             ends = {id(first): first.initial, id(again): raised}
-            monkeypatch.setattr(Outer, "continuous", lambda outer, _, ends=ends: ends[id(outer)])
-            assert assess(first, Outcome(again, again.variables(), Status.STALLED)).status is status
+            monkeypatch.setattr(rm.Outer, "continuous", lambda outer, _, ends=ends: ends[id(outer)])
+            assert assess(first, Outcome(again, again.variables(), rm.Status.STALLED)).status is status
 
     def test_without_mmgpy_it_says_what_to_install(self, given, monkeypatch) -> None:
         monkeypatch.setattr("formulations.remeshed.is_available", lambda: False)
-        with pytest.raises(BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
-            solve(given, Remeshed(Script().formulation))
+        with pytest.raises(rm.BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
+            rm.solve(given, Remeshed(Script().formulation))
 
 
 @pytest.mark.parametrize(
@@ -203,5 +196,5 @@ class TestRemeshed:
     ],
 )
 def test_what_does_not_go_together(given, name, changed, options, words) -> None:
-    with pytest.raises(BadInputError, match=words):
-        solve(replace(given, **changed), name, **options)
+    with pytest.raises(rm.BadInputError, match=words):
+        rm.solve(replace(given, **changed), name, **options)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp import read_records
+import rmesh_nlp as rm
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_file import template
 from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
@@ -133,7 +132,7 @@ def test_a_problem_file_is_known_by_its_content(path):
     ],
 )
 def test_what_is_wrong_is_one_line(path, text, named):
-    with pytest.raises(BadInputError) as caught:
+    with pytest.raises(rm.BadInputError) as caught:
         plan_of(path, text)
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -167,7 +166,7 @@ def test_a_dry_run_of_the_template_lists_the_keys_and_writes_nothing(path, capsy
 def test_every_solve_of_the_template_succeeds(path):
     assert cli.run(["new", "--study", str(path)]) == 0
     assert cli.run(["study", str(path), "--out", str(path.parent / "out"), "--quiet"]) == 0
-    rows = read_records(path.parent / "out")
+    rows = rm.read_records(path.parent / "out")
     assert [row["success"] for row in rows] == [True] * 12
     moved = [row for row in rows if row["variant"] != "fixed"]
     assert all(row["gain_audited"] > 0 for row in moved)

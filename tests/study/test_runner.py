@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.examples import EXAMPLES
+import rmesh_nlp as rm
 from rmesh_nlp.io.records import REQUIRED
 from rmesh_nlp.io.results import Results
 from rmesh_nlp.io.vtu import fields_of, read_vtu
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.study import runner
 from rmesh_nlp.study.plan import PlannedSolve, planned
 from rmesh_nlp.study.runner import Done, perform
@@ -18,7 +17,7 @@ from support.planted import plant, raising
 
 @pytest.fixture(scope="module")
 def one():
-    return planned(EXAMPLES["6.3"]((2, 2)), "fixed")
+    return planned(rm.EXAMPLES["6.3"]((2, 2)), "fixed")
 
 
 def test_fields_survive_the_file_and_a_failure_removes_them(one, tmp_path):
@@ -46,14 +45,14 @@ def test_fields_survive_the_file_and_a_failure_removes_them(one, tmp_path):
 @pytest.mark.parametrize("formulation", ["nested", "joint", "mpcc"])
 def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     """It starts at one, that of the mesh as given, and ends at that of the mesh of the solution."""
-    done = perform(planned(EXAMPLES["6.3"]((4, 2)), formulation))
+    done = perform(planned(rm.EXAMPLES["6.3"]((4, 2)), formulation))
     assert done.solution is not None
     places = Results(tmp_path).result(done.row)
     done.save(places)
     steps = [*places.steps()["stationarity"]]
     assert np.all(np.isfinite(steps))
     assert steps == pytest.approx([step.stationarity for step in done.solution.history])
-    outer = Outer.of(done.solution.problem)
+    outer = rm.Outer.of(done.solution.problem)
     q = outer.relocation.parts.mesh_map.q_of(np.asarray(done.solution.mesh.p))
     assert steps[0] == pytest.approx(1, rel=0.1)  # mpcc has the forces of its first relaxation there
     assert steps[-1] == pytest.approx(outer.residual(outer.energy(q)), abs=1e-5)

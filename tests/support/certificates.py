@@ -1,7 +1,5 @@
 """Meshes and starting points that tests of certificates use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

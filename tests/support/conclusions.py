@@ -1,7 +1,5 @@
 """Assessments whose figures a test chooses: by default those of a success in every respect."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -9,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.measures import EXPLOITS, ContactResiduals
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.assessment import Assessment
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.state import State
 from support.endings import ended
 
@@ -24,7 +20,7 @@ HOLDS, BROKEN = ContactResiduals(1e-9, 1e-9), ContactResiduals(1e-2, 1e-2)
 @cache
 def unmoved() -> Assessment:
     """The mesh as given, assessed."""
-    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
+    outer = rm.Outer.of(rm.EXAMPLES["6.2"]((4, 2)))
     return ended(outer, np.zeros(outer.n))
 
 
@@ -37,7 +33,7 @@ def with_energies(state: State, energy: float, audited: float, **changes: Any) -
 
 
 def compared(
-    said: Status = Status.CONVERGED,
+    said: rm.Status = rm.Status.CONVERGED,
     *,
     gain: float = 0.1,
     gain_audited: float = 0.1,
@@ -46,7 +42,7 @@ def compared(
     size: float = 1.0,
     is_energy: bool = True,
     stationary: bool = True,
-    contact: Status = Status.CONVERGED,
+    contact: rm.Status = rm.Status.CONVERGED,
     min_area_ratio: float = 0.5,
     residuals: ContactResiduals = HOLDS,
     own: ContactResiduals = HOLDS,

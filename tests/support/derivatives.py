@@ -1,7 +1,5 @@
 """Derivatives of assembled programs against those of CasADi from the same expressions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

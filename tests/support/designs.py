@@ -1,7 +1,5 @@
 """Problems with design variables of every kind."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -9,11 +7,9 @@ import numpy as np
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.contact_pressure import vertex_pressures
-from rmesh_nlp.meshes import shapes
-from rmesh_nlp.problem import Constraint, ContactProblem, DesignVariable, Shape
 
 E, F, H0, LOAD = (
-    DesignVariable(name, start, bounds)
+    rm.DesignVariable(name, start, bounds)
     for name, start, bounds in (
         ("E", 1.0, (0.5, 2.0)),
         ("F", 0.05, (0.0, 0.1)),
@@ -42,25 +38,25 @@ h = { start = 0.0, bounds = [-0.02, 0.02] }
 """
 """A block that is pressed onto a foundation, as a problem file."""
 
-BOW = Shape("bow", "bottom", (0.0, lambda x, y: x * (4 - x) / 4), (-0.05, 0.05))
+BOW = rm.Shape("bow", "bottom", (0.0, lambda x, y: x * (4 - x) / 4), (-0.05, 0.05))
 
 
 def block(
-    *design: DesignVariable | Shape,
-    constraints: tuple[Constraint, ...] = (),
+    *design: rm.DesignVariable | rm.Shape,
+    constraints: tuple[rm.Constraint, ...] = (),
     order: int = 1,
     n: tuple[int, int] = (6, 3),
     gaps: str = "node",
-) -> ContactProblem:
+) -> rm.ContactProblem:
     """A block held at its top that a foundation presses from below; it depends on the given variables."""
     names = {variable.name for variable in design}
 
-    def value(variable: DesignVariable) -> object:
+    def value(variable: rm.DesignVariable) -> object:
         return variable.symbol if variable.name in names else variable.start
 
     gap: Callable[..., object] = lambda x, y: value(H0) - 0.01 + 0.01 * (x - 1) ** 2  # noqa: E731
-    return ContactProblem(
-        mesh=shapes.rectangle(*n, x=(0, 4), y=(0, 1)),
+    return rm.ContactProblem(
+        mesh=rm.shapes.rectangle(*n, x=(0, 4), y=(0, 1)),
         law=rm.PlaneStrain.from_young(1e4 * value(E), 0.3, (0.0, lambda x, y: -100 * value(LOAD) * x)),
         dirichlet="top",
         obstacle=rm.Obstacle("bottom", (0, 1), gap, coulomb=value(F) if "F" in names else 0.0, gap=gaps),
@@ -80,13 +76,13 @@ DESIGNS = {
 }
 
 LIMITED = (
-    Constraint("boundary(bottom, ux)", (-0.1, 0.01)),
-    Constraint("max-pressure(bottom)", (-np.inf, 200.0)),
-    Constraint("body(ux**2)", (-np.inf, 1e-4)),
+    rm.Constraint("boundary(bottom, ux)", (-0.1, 0.01)),
+    rm.Constraint("max-pressure(bottom)", (-np.inf, 200.0)),
+    rm.Constraint("body(ux**2)", (-np.inf, 1e-4)),
 )
 
 
-def largest_mean(problem: ContactProblem) -> float:
+def largest_mean(problem: rm.ContactProblem) -> float:
     """The largest mean pressure of a vertex in the contact solution."""
     solver = ContactSolver(problem)
     space, force = solver.discretisation.space, solver.given.normal_force

@@ -1,19 +1,14 @@
 """Formulations and outcomes that end where a test says."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
+import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
-from rmesh_nlp.solving.monitor import Monitor
-from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 
 
@@ -23,7 +18,7 @@ class Ends(Formulation):
 
     end: Any
 
-    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+    def run(self, outer: Outer, q: Array, monitor: rm.Monitor) -> rm.Outcome:
         return self.end(outer, q, monitor)
 
 
@@ -33,12 +28,12 @@ class Chooses(Chooser):
 
     end: Any
 
-    def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
+    def choose(self, problem: rm.ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         return Choice(Ends(self.end), problem, "there is no other")
 
 
 def ended(
-    outer: Outer, q: Array, status: Status = Status.CONVERGED, *, relocates: bool = True, **fields: Any
+    outer: Outer, q: Array, status: rm.Status = rm.Status.CONVERGED, *, relocates: bool = True, **fields: Any
 ) -> Assessment:
     """What is assess of an end at moves ``q``."""
-    return assess(outer, Outcome(outer, q, status, **fields), relocates=relocates)
+    return assess(outer, rm.Outcome(outer, q, status, **fields), relocates=relocates)

@@ -1,19 +1,15 @@
 """Formulations by name, solved once as they are: without the second solve that follows an exploited end."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.formulation import Formulation
-from rmesh_nlp.solving.solution import Solution
+import rmesh_nlp as rm
 from support.solved import solve_once
 
 
-def alternating() -> type[Formulation]:
+def alternating() -> type[rm.Formulation]:
     """The formulation of docs/own_formulation.md."""
     page = (Path(__file__).parents[2] / "docs" / "own_formulation.md").read_text()
     (block,) = re.findall(r"```python\n(.*?)```", page, re.S)
@@ -28,7 +24,7 @@ class Named:
 
     name: str
 
-    def solve(self, problem: ContactProblem, **options: Any) -> Solution:
+    def solve(self, problem: rm.ContactProblem, **options: Any) -> rm.Solution:
         """Solve with options by name."""
         return solve_once(problem, self.name, **options)
 

@@ -1,7 +1,5 @@
 """A ``.nl`` file written by hand from the specification, and its binary form."""
 
-from __future__ import annotations
-
 import struct
 
 # min (x - 1)^2 + exp(y) - 2 z,  x + z <= 5,  0 <= y _|_ x + y - 1 >= 0,  -1 <= z <= 2 _|_ x^2 + z - 3

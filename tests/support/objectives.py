@@ -1,30 +1,27 @@
 """Values of objectives, by the fields that they are integrals and sums of."""
 
-from __future__ import annotations
-
 import numpy as np
 
+import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.kkt_model import kkt_unknowns
-from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.outer import Outer
 
 
-def values_at(outer: Outer, objectives: list[Objective | str], q: Array | None = None) -> list[float]:
+def values_at(outer: rm.Outer, objectives: list[Objective | str], q: Array | None = None) -> list[float]:
     """At the contact solution for the outer variables ``q``, by default on the given mesh."""
     point, parts = outer.energy(np.zeros(outer.n) if q is None else q), outer.discretisation
     x = kkt_unknowns(point, parts.friction_rows)
     return [float(parse_objective(one).on(parts.fields()).evaluate()(x)) for one in objectives]
 
 
-def value_on(problem: ContactProblem, objective: Objective | str) -> float:
+def value_on(problem: rm.ContactProblem, objective: Objective | str) -> float:
     """At the contact solution on the given mesh."""
-    return values_at(Outer.of(problem), [objective])[0]
+    return values_at(rm.Outer.of(problem), [objective])[0]
 
 
-def even_sum(outer: Outer, objectives: list[Objective | str]) -> Objective:
+def even_sum(outer: rm.Outer, objectives: list[Objective | str]) -> Objective:
     """A sum whose parts are of one size on the given mesh, so that none hides what is wrong with another."""
     sizes = values_at(outer, objectives)
     parts = [

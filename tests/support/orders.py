@@ -1,7 +1,5 @@
 """Orders of displacements and other parameters of tests that are quick with some of them alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,17 +1,14 @@
 """Formulations of a test's own: planted in this process, or installed for those that a test starts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+import rmesh_nlp as rm
 from formulations.fixed import Fixed
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving import formulation
-from rmesh_nlp.solving.formulation import Formulation
 
 
 @dataclass(frozen=True)
@@ -19,14 +16,14 @@ class Entry:
     """An entry point of a class that is here already."""
 
     name: str
-    kind: type[Formulation]
+    kind: type[rm.Formulation]
     value: str = "planted"
 
-    def load(self) -> type[Formulation]:
+    def load(self) -> type[rm.Formulation]:
         return self.kind
 
 
-def plant(monkeypatch: pytest.MonkeyPatch, **kinds: type[Formulation]) -> None:
+def plant(monkeypatch: pytest.MonkeyPatch, **kinds: type[rm.Formulation]) -> None:
     """Add formulations by name, as entry points would; one that is installed is replaced."""
     installed = formulation.entry_points
 
@@ -38,11 +35,11 @@ def plant(monkeypatch: pytest.MonkeyPatch, **kinds: type[Formulation]) -> None:
     monkeypatch.setattr(formulation, "entry_points", entries)
 
 
-def raising(error: Exception) -> type[Formulation]:
+def raising(error: Exception) -> type[rm.Formulation]:
     """A formulation that fails before anything is built."""
 
     class Raising(Fixed):
-        def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        def accepts(self, problem: rm.ContactProblem, objective: Objective) -> None:
             raise error
 
     return Raising

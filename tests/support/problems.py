@@ -1,30 +1,19 @@
 """Problems that several tests use."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Motion,
-    Obstacle,
-    PiecewiseLinear,
-    PlaneStrain,
-    Traction,
-)
+from rmesh_nlp.problem import PiecewiseLinear
 
 
-def sloped_block(friction: float = 60.0, n: tuple[int, int] = (8, 3)) -> ContactProblem:
+def sloped_block(friction: float = 60.0, n: tuple[int, int] = (8, 3)) -> rm.ContactProblem:
     alpha = PiecewiseLinear((0.0, 2.0, 4.0), (0.0, 0.02, 0.1))
     mesh = MeshTri.init_tensor(
         *(np.linspace(0, end, count + 1) for end, count in zip((4, 1), n, strict=True))
@@ -39,20 +28,20 @@ def sloped_block(friction: float = 60.0, n: tuple[int, int] = (8, 3)) -> Contact
             "contact": lambda x: (x[1] < 0.11) & (x[0] > 1e-9) & (x[0] < 4 - 1e-9),
         }
     )
-    return ContactProblem(
+    return rm.ContactProblem(
         mesh=mesh,
-        law=PlaneStrain(1.15e4, 0.83e4, body_force=(0.0, lambda x, y: -20 * x)),
+        law=rm.PlaneStrain(1.15e4, 0.83e4, body_force=(0.0, lambda x, y: -20 * x)),
         dirichlet=("left",),
-        obstacle=Obstacle("contact", normal=(0.0, 1.0), offset=alpha, friction=friction),
-        motion=Motion((0.1, 0.05)),
-        tractions=(Traction("top", (-20.0, lambda x, y: -30 * x)),),
+        obstacle=rm.Obstacle("contact", normal=(0.0, 1.0), offset=alpha, friction=friction),
+        motion=rm.Motion((0.1, 0.05)),
+        tractions=(rm.Traction("top", (-20.0, lambda x, y: -30 * x)),),
         name="sloped",
     )
 
 
-def coulomb_slab(coulomb: Any = 0.5, n: tuple[int, int] = (12, 6), **changes: Any) -> ContactProblem:
+def coulomb_slab(coulomb: Any = 0.5, n: tuple[int, int] = (12, 6), **changes: Any) -> rm.ContactProblem:
     """Example 6.3 with a coefficient of Coulomb in the place of its bound."""
-    problem = EXAMPLES["6.3"](n)
+    problem = rm.EXAMPLES["6.3"](n)
     obstacle = replace(problem.obstacle, friction=0.0, coulomb=coulomb)
     return replace(problem, obstacle=obstacle, **changes)
 
@@ -61,38 +50,38 @@ SHEAR, PRESSURE, COULOMB, LENGTH = 50.0, 3.0, 0.4, 2.0
 """Shear modulus of the next block, its pressure, its coefficient of friction, its length."""
 
 
-def sliding_block(order: int = 1) -> ContactProblem:
+def sliding_block(order: int = 1) -> rm.ContactProblem:
     """Pressure p and shear F p everywhere: displacements are linear, the bottom slides by 0.02."""
     F, p = COULOMB, PRESSURE
-    return ContactProblem(
-        rectangle(5, 3, x=(0, LENGTH)),
-        PlaneStrain(0.0, SHEAR),
-        Dirichlet("top", (0.02 + F * p / SHEAR, -p / (2 * SHEAR))),
-        Obstacle("bottom", coulomb=F),
-        Motion(0.05),
-        (Traction("right", (0.0, F * p)), Traction("left", (0.0, -F * p))),
+    return rm.ContactProblem(
+        rm.shapes.rectangle(5, 3, x=(0, LENGTH)),
+        rm.PlaneStrain(0.0, SHEAR),
+        rm.Dirichlet("top", (0.02 + F * p / SHEAR, -p / (2 * SHEAR))),
+        rm.Obstacle("bottom", coulomb=F),
+        rm.Motion(0.05),
+        (rm.Traction("right", (0.0, F * p)), rm.Traction("left", (0.0, -F * p))),
         order=order,
     )
 
 
-def signorini(n: int = 8) -> ContactProblem:
+def signorini(n: int = 8) -> rm.ContactProblem:
     """Example 6.1 without move limits, its load by a rule of degree 6."""
-    return replace(EXAMPLES["6.1"](n=n), motion=Motion(None), quadrature=6)
+    return replace(rm.EXAMPLES["6.1"](n=n), motion=rm.Motion(None), quadrature=6)
 
 
-def energy_error(problem: ContactProblem) -> float:
+def energy_error(problem: rm.ContactProblem) -> float:
     """Error of the energy on the mesh of a problem whose solution is known."""
     return ContactSolver(replace(problem, quadrature=10)).solve(problem.mesh.p).energy - problem.exact.energy
 
 
-def no_move_limits(problem: ContactProblem) -> ContactProblem:
+def no_move_limits(problem: rm.ContactProblem) -> rm.ContactProblem:
     """The same without boxes, elements kept by a small least area."""
     return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))
 
 
-def tied_neighbours() -> ContactProblem:
+def tied_neighbours() -> rm.ContactProblem:
     """Two vertices of one triangle share their outer variables: local derivatives fold onto the diagonal."""
-    problem = EXAMPLES["6.1"](3, 0.1)
+    problem = rm.EXAMPLES["6.1"](3, 0.1)
     inside = problem.mesh.interior_nodes()
     edge = next(e for e in problem.mesh.facets.T.tolist() if set(e) <= set(inside.tolist()))
     return replace(problem, motion=replace(problem.motion, tied=(tuple(edge),)))

@@ -1,7 +1,5 @@
 """The quality of triangles, and sizes of the parts of a mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri

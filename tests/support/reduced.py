@@ -1,19 +1,15 @@
 """Reduced energies of small problems with every kind of contact."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, PointLoad
@@ -28,9 +24,9 @@ from support.curved import disc
 from support.problems import no_move_limits, sloped_block
 
 CONTACTS: dict[str, Callable[[], ContactProblem]] = {
-    "6.1": lambda: EXAMPLES["6.1"](4),
-    "6.2": lambda: EXAMPLES["6.2"]((4, 2)),
-    "6.3": lambda: EXAMPLES["6.3"]((6, 2)),
+    "6.1": lambda: rm.EXAMPLES["6.1"](4),
+    "6.2": lambda: rm.EXAMPLES["6.2"]((4, 2)),
+    "6.3": lambda: rm.EXAMPLES["6.3"]((6, 2)),
     "sloped, stick and slip": lambda: sloped_block(n=(6, 2)),
     "curved foundation, stick and slip": block_sliding_on_a_circle,
 }
@@ -38,13 +34,13 @@ CONTACTS: dict[str, Callable[[], ContactProblem]] = {
 
 def disc_on_its_arc() -> ContactProblem:
     """A quarter of a disc that meets the foundation with its arc, along which nodes slide."""
-    arc = Circle((0.0, 1.0), 1.0)
+    arc = rm.Circle((0.0, 1.0), 1.0)
     return replace(disc({"arc": arc}, delta=0.02), obstacle=Obstacle.graph("arc", 0.0))
 
 
 def tied_membrane() -> ContactProblem:
     """Two inner nodes that move alike, a force at one of them, and a wall that is met in part."""
-    problem = EXAMPLES["6.1"](4)
+    problem = rm.EXAMPLES["6.1"](4)
     one, two = (int(np.argmin(np.abs(problem.mesh.p.T - at).sum(axis=1))) for at in ((0.25, 0.5), (0.5, 0.5)))
     return replace(
         problem,
@@ -67,7 +63,7 @@ def bumpy(friction: float) -> ContactProblem:
     """A gap along edges depends on the positions of two neighbours, which are of no common element."""
     foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")
     law = PlaneStrain(50.0, 50.0, (1.0, -4.0))
-    return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
+    return ContactProblem(rm.shapes.rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
 
 
 OTHERS: dict[str, Callable[[], ContactProblem]] = {
@@ -94,7 +90,7 @@ QUADRATIC = {f"{name}, order 2": of_order_2(make) for name, make in (CONTACTS | 
 
 def free_membrane() -> ContactProblem:
     """Example 6.1 without move limits."""
-    return replace(no_move_limits(EXAMPLES["6.1"](n=4)), quadrature=4)
+    return replace(no_move_limits(rm.EXAMPLES["6.1"](n=4)), quadrature=4)
 
 
 def reduced(problem: ContactProblem, objective: str = "energy") -> ReducedEnergy:

@@ -1,7 +1,5 @@
 """Records made by hand for the tests of tables and figures: every figure in them is chosen."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Quadrature that is coarse, so that its doubts are large, and loads of which no rule sees all."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

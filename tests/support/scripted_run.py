@@ -1,7 +1,5 @@
 """A solve of an MPCC whose NLPs end as a test says: what is tested is what the method makes of that."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +18,7 @@ from rmesh_nlp.optimize.status import Status
 
 x, y, w = (ca.SX.sym(name) for name in "xyw")
 XY, XYW = ca.vertcat(x, y), ca.vertcat(x, y, w)
-ON_G, ON_H, CORNER = (np.array([[G], [H]]) for G, H in ((True, False), (False, True), (True, True)))
+ON_G = np.array([[True], [False]])
 """Which members of a single pair are zero."""
 START = np.array([0.5, 0.5])
 

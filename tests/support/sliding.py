@@ -1,23 +1,12 @@
 """A contact problem with friction whose exact solution sticks on one part and slides on the other."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    ExactSolution,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    Traction,
-)
+import rmesh_nlp as rm
 
 LAMBDA, MU = 40.0, 30.0
 BOUND = 3.0
@@ -83,24 +72,21 @@ def exact_energy(power: int = 2) -> float:
     return total
 
 
-def sliding_block(n: int, power: int = 2) -> ContactProblem:
+def sliding_block(n: int, power: int = 2) -> rm.ContactProblem:
     """The unit square on ``n`` x ``n`` squares, held on the left, loaded elsewhere.
 
     On the left the solution is linear, so that the discrete one can meet it.
     """
     force, stress, _ = _functions(power)
-    return ContactProblem(
-        mesh=rectangle(n, n),
-        law=PlaneStrain(LAMBDA, MU, entries(force, 0, 1)),
-        dirichlet=(Dirichlet("left", (0.0, lambda x, y: PRESS * y)),),
-        tractions=(
-            Traction("top", entries(stress, 2, 3)),
-            Traction("right", entries(stress, 0, 1)),
-        ),
-        obstacle=Obstacle("bottom", friction=BOUND),
-        motion=Motion((0.02, 0.02)),
+    return rm.ContactProblem(
+        mesh=rm.shapes.rectangle(n, n),
+        law=rm.PlaneStrain(LAMBDA, MU, entries(force, 0, 1)),
+        dirichlet=(rm.Dirichlet("left", (0.0, lambda x, y: PRESS * y)),),
+        tractions=(rm.Traction("top", entries(stress, 2, 3)), rm.Traction("right", entries(stress, 0, 1))),
+        obstacle=rm.Obstacle("bottom", friction=BOUND),
+        motion=rm.Motion((0.02, 0.02)),
         quadrature=6,
-        exact=ExactSolution(partial(displacement, power=power), exact_energy(power)),
+        exact=rm.ExactSolution(partial(displacement, power=power), exact_energy(power)),
         name="sliding block",
     )
 

@@ -1,7 +1,5 @@
 """Rates of remainders and differences, for derivatives away from the mesh as given."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
