@@ -1,7 +1,5 @@
 """The bracket holds the least energy, closes at the rate of the order, and says what is not guaranteed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -14,39 +12,20 @@ import pytest
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.certificate import NotCertifiableError, equilibration
-from rmesh_nlp.certificate.bracket import (
-    AT_NODES,
-    Bracket,
-    bracket,
-    edge_residual,
-    refined_bracket,
-    turning,
-)
+from rmesh_nlp.certificate.bracket import AT_NODES, Bracket, bracket, edge_residual, refined_bracket, turning
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Laplace,
-    Obstacle,
-    PlaneStrain,
-    PlaneStress,
-    PointLoad,
-    Traction,
-)
 from rmesh_nlp.problem.coefficients import PositionFunction
-from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.certify import certify, with_upper
 from support.certificates import distorted, guess_on, of_values, proved, signorini
 from support.formulations import fixed, joint
@@ -58,7 +37,7 @@ TURN, SHIFT = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0])
 SIDES = ("left", "right", "top", "bottom")
 
 
-def bracket_of(problem: ContactProblem) -> Bracket:
+def bracket_of(problem: rm.ContactProblem) -> Bracket:
     return bracket(problem, problem.mesh.p, guess_on(problem))
 
 
@@ -88,8 +67,8 @@ def test_the_lower_bound_is_exact_where_the_flux_is_linear(sign: float, end: flo
     k, f, start = 2.0, 3.0, 0.1
     gap = end if end < 0.8 else 0.9
     mesh = distorted(rectangle(3, 3), 0.2, 1)
-    held = (Dirichlet("left", (sign * start,)),)
-    problem = ContactProblem(mesh, Laplace(sign * f, k), held, Obstacle("right", (-sign,), gap))
+    held = (rm.Dirichlet("left", (sign * start,)),)
+    problem = rm.ContactProblem(mesh, rm.Laplace(sign * f, k), held, rm.Obstacle("right", (-sign,), gap))
     energy, found = along_one_axis(k, f, start, end), bracket_of(problem)
     assert one_way(energy, found.lower)
     assert found.why == (f"upper: {AT_NODES}",)
@@ -97,7 +76,7 @@ def test_the_lower_bound_is_exact_where_the_flux_is_linear(sign: float, end: flo
     adds_up(found)
     # a traction does what the obstacle did
     pulled = replace(
-        problem, obstacle=(), tractions=(Traction("right", (sign * (k * (end - start) - f / 2),)),)
+        problem, obstacle=(), tractions=(rm.Traction("right", (sign * (k * (end - start) - f / 2),)),)
     )
     work = (k * (end - start) - f / 2) * end
     assert bracket_of(pulled).lower == pytest.approx(energy - work, rel=1e-12)
@@ -114,9 +93,9 @@ def test_bounds_meet_where_a_linear_displacement_slides_or_sticks(slip: float) -
     flat = distorted(rectangle(3, 3), 0.2, 3)
     mesh = replace(flat, doflocs=Q @ flat.p)
     given = tuple(lambda x, y, i=i: slope[i, 0] * x + slope[i, 1] * y + shift[i] for i in range(2))
-    sides = tuple(Dirichlet(side, given) for side in ("left", "right", "top"))
-    obstacle = Obstacle("bottom", tuple(Q[:, 1]), gap, friction=bound)
-    problem = ContactProblem(mesh, PlaneStrain(3.0, mu), sides, obstacle)
+    sides = tuple(rm.Dirichlet(side, given) for side in ("left", "right", "top"))
+    obstacle = rm.Obstacle("bottom", tuple(Q[:, 1]), gap, friction=bound)
+    problem = rm.ContactProblem(mesh, rm.PlaneStrain(3.0, mu), sides, obstacle)
     u = slope @ mesh.p + shift[:, None]
     strain = (slope + slope.T) / 2
     energy = 3.0 * np.trace(strain) ** 2 / 2 + mu * np.sum(strain**2) + bound * abs(slip)
@@ -138,7 +117,7 @@ def test_bounds_meet_where_a_linear_displacement_slides_or_sticks(slip: float) -
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_exact_energy_of_61_is_inside_before_and_after(order: int) -> None:
-    problem = EXAMPLES["6.1"](4, order=order)
+    problem = rm.EXAMPLES["6.1"](4, order=order)
     for formulation in (fixed, joint):
         found = certify(formulation.solve(problem))
         assert found.guaranteed_lower
@@ -147,20 +126,20 @@ def test_exact_energy_of_61_is_inside_before_and_after(order: int) -> None:
     assert found.error_bound < found.error_bound_initial
 
 
-def block(**changes) -> ContactProblem:
+def block(**changes) -> rm.ContactProblem:
     settings = {
         "mesh": rectangle(6, 3, x=(0, 2)),
-        "law": PlaneStrain(10.0, 8.0, (0.0, -1.0)),
+        "law": rm.PlaneStrain(10.0, 8.0, (0.0, -1.0)),
         "dirichlet": ("left",),
-        "obstacle": Obstacle("bottom", (0.0, 1.0), friction=0.1),
-        "tractions": (Traction("top", (0.0, -0.5)),),
+        "obstacle": rm.Obstacle("bottom", (0.0, 1.0), friction=0.1),
+        "tractions": (rm.Traction("top", (0.0, -0.5)),),
     }
-    return ContactProblem(**{**settings, **changes})
+    return rm.ContactProblem(**{**settings, **changes})
 
 
 CIRCLES = {
-    "circle": (Obstacle.circle, (0.9, -2.0), 2.0),
-    "hole": (partial(Obstacle.circle, inside=True), (1.0, 3.0), 3.2),
+    "circle": (rm.Obstacle.circle, (0.9, -2.0), 2.0),
+    "hole": (partial(rm.Obstacle.circle, inside=True), (1.0, 3.0), 3.2),
 }
 
 
@@ -170,11 +149,12 @@ CIRCLES = {
 def test_bounds_hold_on_finer_meshes(kind, seed, order):
     """The lower bound of a coarse, distorted mesh lies below the energy of a fine one, and close to it."""
     if kind == "two foundations":
-        coarse = block(obstacle=(Obstacle("bottom"), Obstacle("right", (-1.0, 0.0), 0.001)))
+        coarse = block(obstacle=(rm.Obstacle("bottom"), rm.Obstacle("right", (-1.0, 0.0), 0.001)))
     elif kind in CIRCLES:
         make, *place = CIRCLES[kind]
         coarse = block(
-            obstacle=make("bottom", *place, friction=0.1 * seed), dirichlet=(Dirichlet("top", (0.1, -0.05)),)
+            obstacle=make("bottom", *place, friction=0.1 * seed),
+            dirichlet=(rm.Dirichlet("top", (0.1, -0.05)),),
         )
     else:
         coarse = random_problem(seed, kind=kind)
@@ -193,12 +173,12 @@ def test_bounds_hold_on_finer_meshes(kind, seed, order):
     assert upper.upper >= with_upper(close, admissible(fine)).upper
 
 
-def bottom(gap: Callable) -> Obstacle:
-    return Obstacle("bottom", (0.0, 1.0), gap)
+def bottom(gap: Callable) -> rm.Obstacle:
+    return rm.Obstacle("bottom", (0.0, 1.0), gap)
 
 
-def held(uy: Callable) -> tuple[Dirichlet, ...]:
-    return (Dirichlet("left", (0.0, uy)),)
+def held(uy: Callable) -> tuple[rm.Dirichlet, ...]:
+    return (rm.Dirichlet("left", (0.0, uy)),)
 
 
 def jump(x, y) -> ca.SX:
@@ -213,8 +193,12 @@ def wavy(x, y) -> ca.SX:
     return ca.if_else(ca.sin(3 * x) > 0.5, -0.5, 0.0)
 
 
-OBLIQUE = Obstacle.line("bottom", (0.0, -0.1), (0.1, 1.0))
-ROLLERS = Dirichlet("left", (0.0, None)), Dirichlet("right", (None, 0.0)), Dirichlet("bottom", (0.0, None))
+OBLIQUE = rm.Obstacle.line("bottom", (0.0, -0.1), (0.1, 1.0))
+ROLLERS = (
+    rm.Dirichlet("left", (0.0, None)),
+    rm.Dirichlet("right", (None, 0.0)),
+    rm.Dirichlet("bottom", (0.0, None)),
+)
 
 
 @pytest.mark.parametrize(
@@ -228,11 +212,11 @@ ROLLERS = Dirichlet("left", (0.0, None)), Dirichlet("right", (None, 0.0)), Diric
         ({"dirichlet": held(lambda x, y: 0.1 * y**2), "order": 2}, (True, True), ""),
         ({"obstacle": bottom(lambda x, y: 0.02 * (x - 1) ** 4), "order": 2}, (True, True), ""),
         ({"dirichlet": held(lambda x, y: 0.1 * y**3), "order": 2}, (True, False), "not of the order"),
-        ({"tractions": Traction("top", (0.0, jump))}, (True, True), ""),
-        ({"law": PlaneStrain(10.0, 8.0, (0.0, jump))}, (True, True), ""),
+        ({"tractions": rm.Traction("top", (0.0, jump))}, (True, True), ""),
+        ({"law": rm.PlaneStrain(10.0, 8.0, (0.0, jump))}, (True, True), ""),
         # it is not known with certainty where
-        ({"tractions": Traction("top", (0.0, wavy))}, (False, False), "jumps"),
-        ({"law": PlaneStrain(10.0, 8.0, (0.0, wavy))}, (False, False), "jumps"),
+        ({"tractions": rm.Traction("top", (0.0, wavy))}, (False, False), "jumps"),
+        ({"law": rm.PlaneStrain(10.0, 8.0, (0.0, wavy))}, (False, False), "jumps"),
         ({"dirichlet": ROLLERS[:2]}, (True, True), ""),
         ({"dirichlet": ("left", ROLLERS[2])}, (True, True), ""),  # it slides along what it may touch
     ],
@@ -247,18 +231,19 @@ def test_what_is_guaranteed_and_why_not(changes: dict[str, Any], guaranteed: tup
 @pytest.mark.parametrize(
     "problem",
     [
-        block(law=PlaneStrain(10.0, 8.0, (0.0, lambda x, y: 6 * root(x, y)))),
+        block(law=rm.PlaneStrain(10.0, 8.0, (0.0, lambda x, y: 6 * root(x, y)))),
         block(obstacle=bottom(lambda x, y: 0.1 * root(x, y) + 0.05)),
-        block(tractions=(Traction("top", (0.0, lambda x, y: 6 * root(x, y))),)),
-        ContactProblem(
-            rectangle(3, 3), Laplace(-5.0), SIDES, Obstacle.interior(lambda x, y: 0.3 * ca.sqrt(x) - 0.4)
+        block(tractions=(rm.Traction("top", (0.0, lambda x, y: 6 * root(x, y))),)),
+        rm.ContactProblem(
+            rectangle(3, 3),
+            rm.Laplace(-5.0),
+            SIDES,
+            rm.Obstacle.interior(lambda x, y: 0.3 * ca.sqrt(x) - 0.4),
         ),
     ],
     ids=["load", "gap", "traction", "inside"],
 )
-def test_what_two_rules_disagree_by_is_between_the_bounds(
-    problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_two_rules_disagree_by_is_between_the_bounds(problem, monkeypatch):
     coarsen(monkeypatch)
     found = bracket_of(problem)
     assert found.upper - found.lower > np.sum(found.local) + 1e-6
@@ -270,8 +255,8 @@ def test_what_no_rule_sees_is_found_or_leaves_no_guarantee(hidden: PositionFunct
     ends = np.r_[np.linspace(0, 1.5, 4), 1.99 - np.geomspace(0.1, 1e-5, 5), 1.99, 1.9905, 1.9995, 2]
     mesh, fine = rectangle(4, 2, x=(0, 2)), rectangle(ends.size - 1, 2)
     places = np.stack([np.interp(fine.p[0], np.linspace(0, 1, ends.size), ends), fine.p[1]])
-    load = Traction("top", (hidden,))
-    problem = ContactProblem(mesh, Laplace(-1.0), ("bottom",), tractions=load, order=2)
+    load = rm.Traction("top", (hidden,))
+    problem = rm.ContactProblem(mesh, rm.Laplace(-1.0), ("bottom",), tractions=load, order=2)
     found, least = proved(problem), proved(replace(problem, mesh=replace(fine, doflocs=places)))
     assert found.why or (found.lower <= least.upper and least.lower <= found.upper)
 
@@ -286,9 +271,9 @@ def test_obstacles_with_ridges_along_straight_lines_are_certain() -> None:
         return inside(1.0) - 2 * ca.fmax(inside(0.25), 0) - 0.2
 
     mesh = rectangle(4, 4, x=(-1, 1), y=(-1, 1))
-    problem = ContactProblem(mesh, Laplace(-5.0), SIDES, Obstacle.interior(obstacle))
+    problem = rm.ContactProblem(mesh, rm.Laplace(-5.0), SIDES, rm.Obstacle.interior(obstacle))
     assert not proved(problem).why
-    needle = Obstacle.interior(lambda x, y: ca.fmax(-0.5, 0.3 - 1e4 * ca.fabs(x - 0.51)))
+    needle = rm.Obstacle.interior(lambda x, y: ca.fmax(-0.5, 0.3 - 1e4 * ca.fabs(x - 0.51)))
     assert proved(replace(problem, obstacle=needle)).why
 
 
@@ -310,9 +295,9 @@ def test_an_element_of_no_thickness_is_refused_or_flagged():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"obstacle": (Obstacle("bottom"), Obstacle("bottom", (0.6, 0.8)))}, "two obstacles"),
-        ({"obstacle": Obstacle("bottom", coulomb=0.3)}, "no energy is minimised"),
-        ({"point_loads": (PointLoad(9, (0.0, -1.0)),)}, "point load"),
+        ({"obstacle": (rm.Obstacle("bottom"), rm.Obstacle("bottom", (0.6, 0.8)))}, "two obstacles"),
+        ({"obstacle": rm.Obstacle("bottom", coulomb=0.3)}, "no energy is minimised"),
+        ({"point_loads": (rm.PointLoad(9, (0.0, -1.0)),)}, "point load"),
         ({"dirichlet": ("left", ROLLERS[2]), "obstacle": OBLIQUE}, "oblique"),
     ],
 )
@@ -327,12 +312,12 @@ def test_what_cannot_be_certified_is_said(changes, reason):
 @pytest.mark.parametrize("held", [ROLLERS[:1], ()])
 def test_body_that_contact_alone_holds_is_bounded(held, order):
     """Nothing in the bounds needs a rigid motion to cost energy."""
-    under = Obstacle.graph("bottom", lambda x, y: -0.01 * (x - 1) ** 2)
-    beside = () if held else (Obstacle.line("left", (-0.01, 0.0), (1.0, 0.0)),)
-    pushed = (Traction("top", (-0.1, lambda x, y: -0.5 - 0.1 * x)),)
+    under = rm.Obstacle.graph("bottom", lambda x, y: -0.01 * (x - 1) ** 2)
+    beside = () if held else (rm.Obstacle.line("left", (-0.01, 0.0), (1.0, 0.0)),)
+    pushed = (rm.Traction("top", (-0.1, lambda x, y: -0.5 - 0.1 * x)),)
     problem = block(dirichlet=held, obstacle=(under, *beside), tractions=pushed, order=order)
     found = certify(fixed.solve(problem))
-    fine = fixed.solve(replace(refined(refined(problem)), order=2))
+    fine = fixed.solve(replace(rm.refined(rm.refined(problem)), order=2))
     assert found.guaranteed_lower
     assert found.guaranteed_upper
     assert found.lower <= fine.energy_audited <= found.upper
@@ -346,8 +331,8 @@ def test_body_that_contact_alone_holds_is_bounded(held, order):
 @pytest.mark.parametrize("order", ORDERS)
 def test_what_polynomials_leave_of_contact_on_a_circle_is_known(order):
     """Pressure and friction on it, less their best approximation by Gauss points, and only there."""
-    round_one = Obstacle.circle("bottom", (1.2, -0.8), 0.8, friction=0.1)
-    problem = block(obstacle=(round_one, Obstacle("top", (0.0, -1.0), 0.01)), order=order, tractions=())
+    round_one = rm.Obstacle.circle("bottom", (1.2, -0.8), 0.8, friction=0.1)
+    problem = block(obstacle=(round_one, rm.Obstacle("top", (0.0, -1.0), 0.01)), order=order, tractions=())
     skeleton = skeleton_of(problem, problem.mesh.p)
     balance = equilibrated(problem, skeleton, guess_on(problem)).balance
     conditions = balance.assembled.conditions
@@ -389,9 +374,7 @@ def test_equilibrium_is_checked_and_can_fail():
     assert edge_residual(skeleton, slippery, mirrored) == edge_residual(skeleton, slippery, field)
 
 
-def test_oscillation_doubts_and_imbalance_lower_the_bound_by_what_they_may_cost(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_oscillation_doubts_and_imbalance_lower_the_bound_by_what_they_may_cost(monkeypatch):
     """D - sum (eta_T r_T + r_T^2 / 2), doubtful given displacements, strain times imbalance."""
     problem, name, r = block(dirichlet=held(lambda x, y: 0.1)), "rmesh_nlp.certificate.bracket.", 0.1
     field = equilibrated(problem, skeleton_of(problem, problem.mesh.p), guess_on(problem))
@@ -415,7 +398,7 @@ def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: 
 
     def failed(*given: Any) -> Any:
         state = solve(*given)
-        return replace(state, normal_force=state.normal_force / 2, status=Status.CYCLED, u=np.nan)
+        return replace(state, normal_force=state.normal_force / 2, status=rm.Status.CYCLED, u=np.nan)
 
     monkeypatch.setattr(equilibration, "solve", failed)
     found = bracket_of(problem)
@@ -425,13 +408,13 @@ def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: 
 
 def test_a_load_that_varies_within_elements_works_on_what_the_field_does_there():
     """Without the product of oscillation and variation the bound would be above the least energy."""
-    source = Laplace(lambda x, y: ca.sin(2 * ca.pi * x) * ca.sin(2 * ca.pi * y))
-    found = bracket_of(ContactProblem(rectangle(3, 3), source, SIDES))
+    source = rm.Laplace(lambda x, y: ca.sin(2 * ca.pi * x) * ca.sin(2 * ca.pi * y))
+    found = bracket_of(rm.ContactProblem(rectangle(3, 3), source, SIDES))
     assert not found.lower_faults
     assert found.lower <= -1 / (64 * np.pi**2) <= found.upper  # an eigenfunction
     # a wave on each edge, without mean and moment there: u is cos(k x) sinh(k y)
-    wave, k = Traction("top", (lambda x, y: ca.cos(6 * ca.pi * x),)), 6 * np.pi
-    found = bracket_of(ContactProblem(rectangle(3, 3), Laplace(0.0), ("bottom",), tractions=wave))
+    wave, k = rm.Traction("top", (lambda x, y: ca.cos(6 * ca.pi * x),)), 6 * np.pi
+    found = bracket_of(rm.ContactProblem(rectangle(3, 3), rm.Laplace(0.0), ("bottom",), tractions=wave))
     assert found.lower <= -np.tanh(k) / (4 * k) <= found.upper
 
 
@@ -459,11 +442,13 @@ def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind, o
 
 
 @pytest.mark.parametrize(
-    ("law", "order"), [(PlaneStrain(3.0, 2.0), 1), (Laplace(0.0, 2.0), 1), (Laplace(0.0, 2.0), 2)]
+    ("law", "order"), [(rm.PlaneStrain(3.0, 2.0), 1), (rm.Laplace(0.0, 2.0), 1), (rm.Laplace(0.0, 2.0), 2)]
 )
-def test_a_field_that_does_not_balance_its_load_is_noticed(law: PlaneStrain | Laplace, order: int) -> None:
+def test_a_field_that_does_not_balance_its_load_is_noticed(
+    law: rm.PlaneStrain | rm.Laplace, order: int
+) -> None:
     mesh = distorted(rectangle(3, 2), 0.3, seed=1)
-    problem = ContactProblem(mesh, law, ("left",), order=order)
+    problem = rm.ContactProblem(mesh, law, ("left",), order=order)
     skeleton, element, rng = skeleton_of(problem, mesh.p), element_of(problem), np.random.default_rng(0)
     functions = element.pieces.restriction.shape[2]
     load = rng.normal(size=(problem.components, functions, mesh.t.shape[1]))
@@ -478,22 +463,23 @@ def test_a_field_that_does_not_balance_its_load_is_noticed(law: PlaneStrain | La
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
-    "law", [PlaneStrain(3.0, 2.0), PlaneStress(3.0, 2.0), PlaneStrain(2e5, 1.0), Laplace(0.0, 2.0)]
+    "law",
+    [rm.PlaneStrain(3.0, 2.0), rm.PlaneStress(3.0, 2.0), rm.PlaneStrain(2e5, 1.0), rm.Laplace(0.0, 2.0)],
 )
-def test_patch(law: PlaneStrain | PlaneStress | Laplace, order: int) -> None:
+def test_patch(law: rm.PlaneStrain | rm.PlaneStress | rm.Laplace, order: int) -> None:
     """A displacement of the order is its own stress: bounds meet, and nothing is left to correct."""
     mesh = distorted(rectangle(3, 3), 0.25, seed=2)
     bent = (order - 1) / 10
     ux = lambda x, y: 0.3 * x - 0.2 * y + 0.1 + bent * (x * x - 3 * x * y + 2 * y * y)  # noqa: E731
     uy = lambda x, y: 0.7 * y + 0.4 * x + bent * (x * x + x * y)  # noqa: E731
-    given, scalar = (ux, uy)[: len(law.load)], isinstance(law, Laplace)
+    given, scalar = (ux, uy)[: len(law.load)], isinstance(law, rm.Laplace)
     if scalar:  # less the divergence of the flux
         law = replace(law, source=-2.0 * 6 * bent)
     else:  # grad div u = bent (3, -3), laplace u = bent (6, 2)
         lam, mu = law.in_plane_lambda, law.lame_mu
         law = replace(law, body_force=tuple(-bent * ((lam + mu) * a + mu * b) for a, b in ((3, 6), (-3, 2))))
-    sides = tuple(Dirichlet(side, given) for side in ("left", "right", "top", "bottom"))
-    problem = ContactProblem(mesh, law, sides, order=order)
+    sides = tuple(rm.Dirichlet(side, given) for side in ("left", "right", "top", "bottom"))
+    problem = rm.ContactProblem(mesh, law, sides, order=order)
     found = bracket(problem, mesh.p, guess_on(problem, of_values(problem, given)))
     assert not found.lower_faults
     assert not found.upper_faults
@@ -501,11 +487,11 @@ def test_patch(law: PlaneStrain | PlaneStress | Laplace, order: int) -> None:
     assert np.max(found.local) <= 1e-9 * abs(found.upper)
 
 
-def smooth(n: int, order: int) -> ContactProblem:
+def smooth(n: int, order: int) -> rm.ContactProblem:
     """u = sin(pi x) sin(pi y) under its source and, on the right, its traction; least energy -pi^2 / 4."""
-    source = Laplace(lambda x, y: 2 * np.pi**2 * ca.sin(np.pi * x) * ca.sin(np.pi * y))
-    pull = Traction("right", (lambda x, y: -np.pi * ca.sin(np.pi * y),))
-    return ContactProblem(rectangle(n, n), source, ("left", "bottom", "top"), tractions=pull, order=order)
+    source = rm.Laplace(lambda x, y: 2 * np.pi**2 * ca.sin(np.pi * x) * ca.sin(np.pi * y))
+    pull = rm.Traction("right", (lambda x, y: -np.pi * ca.sin(np.pi * y),))
+    return rm.ContactProblem(rectangle(n, n), source, ("left", "bottom", "top"), tractions=pull, order=order)
 
 
 def less_half_the_work(corners: list[complex]) -> float:
@@ -552,10 +538,10 @@ def test_what_is_left_of_a_load_by_elements_lowers_the_bound() -> None:
     def source(x, y):
         return sum(1e3 * c * x**i * y**j for c, (i, j) in zip(own.tolist(), powers, strict=True))
 
-    problem = ContactProblem(mesh, Laplace(source), SIDES)
+    problem = rm.ContactProblem(mesh, rm.Laplace(source), SIDES)
     finer = replace(problem, order=2)
     for _ in range(3):
-        finer = refined(finer)
+        finer = rm.refined(finer)
     guess = Guess(np.zeros((1, 4)), np.zeros(4), np.zeros(4))
     found, least = bracket(problem, mesh.p, guess), ContactSolver(finer).given.energy
     assert not found.lower_faults

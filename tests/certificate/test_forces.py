@@ -1,7 +1,5 @@
 """Bounds of forces and displacements hold known ones, and are infinite where there is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -10,17 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import Continuous, admissible
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
-from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, Place, PlaneStrain, Traction
-from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving import certify as certifying
-from rmesh_nlp.solving.certify import certify
-from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import Solution
 from support.certificates import distorted, signorini
 from support.formulations import fixed
 from support.objectives import value_on, values_at
@@ -30,7 +23,7 @@ BOTH = pytest.mark.parametrize("order", ORDERS)
 
 
 def bounds_of(problem: ContactProblem) -> tuple[float, float]:
-    found = certify(fixed.solve(problem))
+    found = rm.certify(fixed.solve(problem))
     (bounds,) = found.bounds.values()
     assert bounds.guaranteed
     assert "np." not in repr(found)
@@ -41,12 +34,12 @@ def bounds_of(problem: ContactProblem) -> tuple[float, float]:
 def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(order: int) -> None:
     """2 w'' = 3 from -0.1 to the obstacle at -0.3, whose force is 3 / 2 - 2 (0.3 - 0.1)."""
     held, obstacle = (Dirichlet("left", (-0.1,)),), Obstacle("right", (1.0,), 0.3)
-    mesh = distorted(rectangle(3, 3), 0.2, 1)
+    mesh = distorted(rm.shapes.rectangle(3, 3), 0.2, 1)
     problem = ContactProblem(mesh, Laplace(-3.0, 2.0), held, obstacle, order=order)
     lower, upper = bounds_of(problem)
     assert lower < 1.1 < upper
     needle = "pressure(right, exp(-1e10*(y - 0.703)**2))"  # no point at which gaps are looked at is on it
-    assert not certify(fixed.solve(problem), quantities=[needle]).bounds[needle].guaranteed
+    assert not rm.certify(fixed.solve(problem), quantities=[needle]).bounds[needle].guaranteed
     assert upper - lower < {1: 1.0, 2: 1e-3}[order]
 
 
@@ -56,7 +49,7 @@ def test_force_of_an_obstacle_in_the_interior(order: int) -> None:
     for sign in (1.0, -1.0):  # below, and above
         obstacle = Obstacle(Place.INTERIOR, (sign,), 0.05)
         problem = ContactProblem(
-            rectangle(8, 2), Laplace(-2.0 * sign), ("left", "right"), obstacle, order=order
+            rm.shapes.rectangle(8, 2), Laplace(-2.0 * sign), ("left", "right"), obstacle, order=order
         )
         lower, upper = bounds_of(problem)
         assert lower < 2 * (1 - 2 * np.sqrt(0.05)) < upper
@@ -67,14 +60,14 @@ def test_force_that_the_load_alone_gives_is_known_with_friction() -> None:
     """The search over a foundation that is shifted by a length begins where the body stands on it."""
     floor = Obstacle.graph("bottom", -0.01, friction=3.0)
     law, held = PlaneStrain.from_young(1000.0, 0.3), (Dirichlet("left", (0.0, None)),)
-    mesh = rectangle(4, 2, x=(0, 4), y=(0, 2))
+    mesh = rm.shapes.rectangle(4, 2, x=(0, 4), y=(0, 2))
     problem = ContactProblem(mesh, law, held, floor, tractions=(Traction("top", (0.0, -10.0)),), order=2)
     assert bounds_of(problem) == pytest.approx((40, 40), rel=1e-4)
 
 
 def test_nearly_all_of_a_force_acts_where_it_is_proved_to() -> None:
     """The pressure 3/2 |x|^(1/2) up to the origin: on (a, b) acts |a|^(3/2) - |b|^(3/2)."""
-    bounds = certify(fixed.solve(signorini(8, 2))).bounds["resultant(free)"]
+    bounds = rm.certify(fixed.solve(signorini(8, 2))).bounds["resultant(free)"]
     assert bounds.guaranteed
     ((begin, end),) = bounds.within["x"]
     assert begin == pytest.approx(-9 / 17)
@@ -90,17 +83,17 @@ def test_forces_act_on_intervals_with_a_gap_between_them() -> None:
     for n in (8, 16):
         problem = replace(body(n, 2, 0.0), dirichlet=(tool,), obstacle=foundation, tractions=())
         solution = fixed.solve(problem)
-        found[n] = certify(solution).bounds["resultant(bottom)"]
+        found[n] = rm.certify(solution).bounds["resultant(bottom)"]
     ((a, b), (c, d)) = found[8].within["x"]
     assert (a, d) == (0, 2)
     assert 0.2 < b < 0.9 < 1.1 < c < 1.8
-    fine = certify(solution, quantities=[f"pressure(bottom, where((x - {b})*(x - {c}) < 0, 1, 0))"])
+    fine = rm.certify(solution, quantities=[f"pressure(bottom, where((x - {b})*(x - {c}) < 0, 1, 0))"])
     assert [*fine.bounds.values()][-1].value < 0.05 * found[8].lower
 
 
 def body(n: int, order: int, friction: float) -> ContactProblem:
     return ContactProblem(
-        rectangle(2 * n, n, x=(0, 2)),
+        rm.shapes.rectangle(2 * n, n, x=(0, 2)),
         PlaneStrain.from_young(1000.0, 0.3),
         ("left",),
         Obstacle.graph("bottom", lambda x, y: -0.002 - 0.004 * (x - 1.2) ** 2, friction=friction),
@@ -110,7 +103,7 @@ def body(n: int, order: int, friction: float) -> ContactProblem:
 
 
 @cache
-def solved_body(n: int, order: int, friction: float) -> Solution:
+def solved_body(n: int, order: int, friction: float) -> rm.Solution:
     return fixed.solve(body(n, order, friction))
 
 
@@ -119,11 +112,11 @@ def solved_body(n: int, order: int, friction: float) -> Solution:
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_bounds_hold_values_of_a_finer_mesh_and_close_under_refinement(order: int, friction: float) -> None:
     displacements = ("boundary(right, (1+y)*ux)",) if friction else ()
-    fine = refined(body(6, order, friction))
+    fine = rm.refined(body(6, order, friction))
     asked = ("resultant(bottom)", *displacements)
-    coarse, close = (certify(solved_body(n, order, friction), quantities=asked) for n in (2, 4))
+    coarse, close = (rm.certify(solved_body(n, order, friction), quantities=asked) for n in (2, 4))
     assert set(coarse.bounds) == {*asked}
-    values = values_at(Outer.of(fine), list(coarse.bounds))
+    values = values_at(rm.Outer.of(fine), list(coarse.bounds))
     for value, (quantity, rough) in zip(values, coarse.bounds.items(), strict=True):
         better = close.bounds[quantity]
         for bounds in (rough, better):
@@ -159,8 +152,8 @@ def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> 
     needle = "pressure(bottom, exp(-1e10*(x - 0.703)**2))"
     asked, fine = [*hats, "pressure(bottom, x)", "pressure(bottom, -x)"], solved_body(4, 2, 0.0)
     found, known = (
-        certify(solved_body(4, 2, 0.0), quantities=[*asked, needle]),
-        certify(fine, quantities=asked),
+        rm.certify(solved_body(4, 2, 0.0), quantities=[*asked, needle]),
+        rm.certify(fine, quantities=asked),
     )
     whole = found.bounds["resultant(bottom)"].value
     for text, true in known.bounds.items():
@@ -177,7 +170,7 @@ def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> 
 def test_a_window_has_the_force_of_the_pressure_in_it(order: int) -> None:
     """Of a uniform pressure exactly, wherever the nodes are: two of them lie 0.5 apart."""
     block = ContactProblem(
-        rectangle(4, 1, x=(0, 2)),
+        rm.shapes.rectangle(4, 1, x=(0, 2)),
         PlaneStrain(1.0, 1.0),
         (Dirichlet("left", (0.0, None)),),
         Obstacle.graph("bottom", 0.0),
@@ -186,7 +179,7 @@ def test_a_window_has_the_force_of_the_pressure_in_it(order: int) -> None:
     )
     windows = {"where((x - 0.93)*(x - 1.03) < 0, 10, 0)": 3.0, "where(x > 0.99, 1, 0)": 3.03, "x": 6.0}
     texts = {f"pressure(bottom, {weight})": force for weight, force in windows.items()}
-    found = certify(fixed.solve(block), quantities=[*texts]).bounds
+    found = rm.certify(fixed.solve(block), quantities=[*texts]).bounds
     for text, force in texts.items():
         assert found[text].value == pytest.approx(force, rel=1e-8)
         assert found[text].lower < force * (1 + 1e-8)
@@ -201,7 +194,7 @@ def test_what_is_not_proved_under_the_load_of_a_quantity_does_not_bound_it(monke
         return replace(build(problem, *others), lower_faults=faults)
 
     monkeypatch.setattr(certifying, "refined_bracket", crude)
-    found = certify(solved_body(2, 1, 0.0), quantities=["mean(right, ux)"], refinements=0)
+    found = rm.certify(solved_body(2, 1, 0.0), quantities=["mean(right, ux)"], refinements=0)
     bounds = found.bounds["mean(right, ux)"]
     assert (bounds.lower, bounds.upper) == (-np.inf, np.inf)
 
@@ -230,5 +223,5 @@ def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
     ],
 )
 def test_what_is_not_linear_in_the_displacement_has_no_bounds(quantities: Any, said: str) -> None:
-    with pytest.raises(BadInputError, match=said):
-        certify(solved_body(2, 1, 0.0), quantities=quantities)
+    with pytest.raises(rm.BadInputError, match=said):
+        rm.certify(solved_body(2, 1, 0.0), quantities=quantities)

@@ -16,8 +16,6 @@ from rmesh_nlp.certificate.hybrid import jumps
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem.contact_problem import refined
 from support.bodies import STEEL, pressed, stacked
 from support.certificates import guess_on
 from support.orders import ORDERS
@@ -57,7 +55,7 @@ def under_tool(order: int, kind: str = "none") -> rm.ContactProblem:
     if kind == "loose":
         given, tools = rm.Dirichlet("left", (0.0, None)), (PUNCH, rm.Obstacle("bottom", friction=5.0))
     law = rm.PlaneStrain.from_young(young=1e4, poisson=0.3)
-    return rm.ContactProblem(rectangle(6, 3, x=(0.0, 2.0)), law, given, tools, order=order)
+    return rm.ContactProblem(rm.shapes.rectangle(6, 3, x=(0.0, 2.0)), law, given, tools, order=order)
 
 
 PROBLEMS = {
@@ -71,7 +69,7 @@ def solved(name: str, order: int, refinements: int) -> rm.Solution:
     make, kind = PROBLEMS[name]
     problem = make(order, kind)
     for _ in range(refinements):
-        problem = replace(refined(problem), order=2)
+        problem = replace(rm.refined(problem), order=2)
     return rm.solve(problem, "fixed")
 
 
@@ -111,14 +109,14 @@ def test_uniform_pressure_through_blocks_is_proved_exactly(order: int) -> None:
 @pytest.mark.slow
 def test_force_of_a_crack_with_a_tip_has_a_lower_bound_and_windows_have_both() -> None:
     """No displacement has one jump up to a tip, but those that vanish there."""
-    mesh, window = rectangle(6, 6), "pressure(joint, x - 1/3)"
+    mesh, window = rm.shapes.rectangle(6, 6), "pressure(joint, x - 1/3)"
     on = np.isclose(mesh.p[1], 0.5) & (mesh.p[0] > 0.3)
     mesh = named(mesh, {"joint": mesh.facets[:, np.all(on[mesh.facets], axis=0)].T})
     load, joint = rm.Traction("top", (0.0, -1.0)), rm.Obstacle.interface("joint")
     problem = rm.ContactProblem(mesh, STEEL, "bottom", joint, tractions=load)
     found, fine = (
         rm.certify(rm.solve(each, "fixed"), quantities=[window]).bounds
-        for each in (problem, replace(refined(problem), order=2))
+        for each in (problem, replace(rm.refined(problem), order=2))
     )
     bounds = found["resultant(joint)"]
     assert bounds.guaranteed
@@ -169,7 +167,7 @@ def test_refinement_proves_the_force_of_a_pair() -> None:
 def test_force_of_a_crack_with_a_tip_is_estimated_by_richer_displacements() -> None:
     """No displacement opens it at its tip: the integral of an equilibrated pressure corrects nothing."""
     crack = {"crack": lambda x: np.isclose(x[1], 0.5) & (x[0] < 1.5)}
-    mesh = rectangle(12, 6, x=(0.0, 3.0), y=(0.0, 1.0))
+    mesh = rm.shapes.rectangle(12, 6, x=(0.0, 3.0), y=(0.0, 1.0))
     lines = mesh.facets[:, crack["crack"](mesh.p[:, mesh.facets].mean(axis=1))]
     mesh = named(mesh, boundaries={"crack": lines.T})
     down = rm.Traction("top", (0.0, lambda x, y: 0.3 * x - 1))
@@ -179,7 +177,7 @@ def test_force_of_a_crack_with_a_tip_is_estimated_by_richer_displacements() -> N
     estimate = rm.solve(problem, "fixed").details["estimates"]["resultant(crack)"]
     fine = problem
     for _ in range(2):
-        fine = refined(fine)
+        fine = rm.refined(fine)
     truth = rm.solve(replace(fine, order=2), "fixed", audit=False).contact["crack"]["normal_force"]
     assert abs(estimate["value"] - truth) < 1.5 * estimate["error"]
     assert abs(estimate["value"] - truth) < abs(estimate["computed"] - truth)

@@ -16,12 +16,8 @@ from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.contact.uniqueness import condensed, contraction, spectral_radius
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem.contact_problem import refined
 from support.problems import COULOMB, PRESSURE, SHEAR, coulomb_slab, sliding_block
 
 SAG = "mean(top, -uy)"
@@ -31,7 +27,7 @@ def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
     """Whether the laws hold, whatever the solver says."""
     found = residuals(system, state)
     exact = max(found.equilibrium, found.complementarity) < 1e-9
-    return state.status is Status.CONVERGED and exact
+    return state.status is rm.Status.CONVERGED and exact
 
 
 def all_solutions(system: ContactSystem) -> list[Array]:
@@ -71,7 +67,7 @@ class TestSolver:
         problem = slab(coulomb, order=order)
         model = ContactSolver(problem)
         system = model.system(problem.mesh.p)
-        assert model.given.status is Status.CONVERGED
+        assert model.given.status is rm.Status.CONVERGED
         assert is_solved(system, model.given)
         assert model.given.iterations <= 12
 
@@ -92,10 +88,10 @@ class TestSolver:
         # it is the solution for the bound of Tresca that is reached
         bounded = replace(system, slip_bound=system.bound(by_newton.normal_force), coulomb=None)
         np.testing.assert_allclose(solve(bounded).u, by_newton.u, atol=1e-12)
-        at_once = replace(system.equilibrium(at_rest(system)), status=Status.STALLED)
+        at_once = replace(system.equilibrium(at_rest(system)), status=rm.Status.STALLED)
         monkeypatch.setattr("rmesh_nlp.contact.active_set.newton", lambda *_: at_once)
         slow = solve(system)
-        assert slow.status is Status.CONVERGED
+        assert slow.status is rm.Status.CONVERGED
         np.testing.assert_allclose(slow.u, by_newton.u, atol=1e-12)
 
     def test_bounds_of_tresca_and_of_coulomb_add_up(self) -> None:
@@ -113,9 +109,7 @@ class TestSolver:
     @pytest.mark.parametrize(("seed", "order", "coulomb"), [(18, 1, 3.0), (19, 2, 10.0)])
     def test_newton_is_damped_where_full_steps_cycle(self, seed: int, order: int, coulomb: float) -> None:
         rough = random_problem(seed, kind="rough", order=order)
-        problem = refined(
-            replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=coulomb)),
-        )
+        problem = rm.refined(replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=coulomb)))
         system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
         active, seen = at_rest(system), set()
         while active.key() not in seen:  # full steps alone
@@ -123,7 +117,7 @@ class TestSolver:
             active, wrong = next_set(system, system.equilibrium(active), active)
         assert wrong > 0
         state = newton(system, at_rest(system), 30)
-        assert state.status is Status.CONVERGED
+        assert state.status is rm.Status.CONVERGED
         assert is_solved(system, state)
 
     def test_a_node_that_meets_the_foundation_slides_as_it_moves_unless_the_overlap_holds_it(self) -> None:
@@ -242,7 +236,7 @@ class TestFormulations:
     def test_fixed_solves_the_contact_problem_without_a_certificate(self) -> None:
         problem = slab(1.0)
         solution = rm.solve(problem, "fixed", certify=True)
-        assert solution.status is Status.CONVERGED
+        assert solution.status is rm.Status.CONVERGED
         row, state = solution.record(), ContactSolver(problem).given
         touching = state.active.touching
         assert row["sticking_nodes"] == np.count_nonzero(state.active.sliding == 0) > 0
@@ -252,10 +246,10 @@ class TestFormulations:
 
     @pytest.mark.parametrize("name", ["joint", "nested", "mpcc", "cascade"])
     def test_there_is_no_energy_to_minimise(self, name: str) -> None:
-        with pytest.raises(BadInputError, match="with Coulomb friction"):
+        with pytest.raises(rm.BadInputError, match="with Coulomb friction"):
             rm.solve(slab(), name)
         if name == "joint":
-            with pytest.raises(BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
+            with pytest.raises(rm.BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
                 rm.solve(slab(), name, objective=SAG)
 
     def test_a_strong_coefficient_is_warned_of(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -377,7 +371,7 @@ def test_slips_of_a_plate_are_the_published_ones() -> None:
     Within the 5 % of their source, and at the first four places within the rounding of three digits.
     """
     problem = rm.ContactProblem(
-        rectangle(32, 32, x=(0, 0.04), y=(0, 0.04)),
+        rm.shapes.rectangle(32, 32, x=(0, 0.04), y=(0, 0.04)),
         rm.PlaneStrain.from_young(1.3e11, 0.2),
         rm.Dirichlet("right", (0.0, None)),
         rm.Obstacle("bottom", coulomb=1.0),

@@ -17,43 +17,29 @@ from rmesh_nlp.contact.setup_warnings import (
     setup_warnings,
 )
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import FITTED, Circle, fitted
 from rmesh_nlp.meshes.geometry import counter_clockwise
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    DesignVariable,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    PlaneStress,
-    Relative,
-    Traction,
-)
 from support.curved import disc
 from support.formulations import fixed
 from support.orders import ORDERS
 
 
-def sound(**changes: Any) -> ContactProblem:
+def sound(**changes: Any) -> rm.ContactProblem:
     """A cantilever that is pressed onto a foundation and touches it with half of its lower side."""
-    mesh = named(rectangle(16, 4, x=(0, 4)), {"load": lambda x: (x[1] == 1) & (x[0] > 2)})
-    problem = ContactProblem(
+    mesh = named(rm.shapes.rectangle(16, 4, x=(0, 4)), {"load": lambda x: (x[1] == 1) & (x[0] > 2)})
+    problem = rm.ContactProblem(
         mesh=mesh,
-        law=PlaneStrain.from_young(21600.0, 0.3),
+        law=rm.PlaneStrain.from_young(21600.0, 0.3),
         dirichlet=("left",),
-        obstacle=Obstacle.graph("bottom", -0.05),
-        motion=Motion(Relative(0.3)),
-        tractions=(Traction("load", (0.0, -57.5)),),
+        obstacle=rm.Obstacle.graph("bottom", -0.05),
+        motion=rm.Motion(rm.Relative(0.3)),
+        tractions=(rm.Traction("load", (0.0, -57.5)),),
     )
     return replace(problem, **changes)
 
 
-def signs(problem: ContactProblem) -> tuple[SetupWarning, ...]:
+def signs(problem: rm.ContactProblem) -> tuple[SetupWarning, ...]:
     """All of a problem, as ``rmesh check`` prints them."""
     model = ContactSolver(problem)
     u, space = model.displacement.values(model.given.u), model.discretisation.space
@@ -62,19 +48,21 @@ def signs(problem: ContactProblem) -> tuple[SetupWarning, ...]:
 
 
 WRONG = {
-    "overlap": {"obstacle": Obstacle.graph("bottom", lambda x, y: 0.005 * x)},  # zero where it is held
-    "away": {"tractions": (Traction("load", (0.0, 57.5)),)},
-    "open": {"obstacle": Obstacle.graph("bottom", -50.0)},
-    "all-touching": {"dirichlet": (Dirichlet("top", (0.0, -0.1)),)},
-    "unresolved": {"tractions": (Traction("load", (0.0, -25.0)),)},
-    "penetration": {"obstacle": Obstacle.graph("bottom", lambda x, y: -0.05 * ca.cos(16 * ca.pi * x) - 0.1)},
-    "large": {"law": PlaneStrain.from_young(2160.0, 0.3), "obstacle": Obstacle.graph("bottom", -1.0)},
-    "tiny": {"law": PlaneStrain.from_young(2.16e13, 0.3)},
-    "locking": {"law": PlaneStrain.from_young(21600.0, 0.4999)},
-    "load": {"tractions": (Traction("load", (0.0, lambda x, y: ca.if_else(x > 1000, 1, 0))),)},
+    "overlap": {"obstacle": rm.Obstacle.graph("bottom", lambda x, y: 0.005 * x)},  # zero where it is held
+    "away": {"tractions": (rm.Traction("load", (0.0, 57.5)),)},
+    "open": {"obstacle": rm.Obstacle.graph("bottom", -50.0)},
+    "all-touching": {"dirichlet": (rm.Dirichlet("top", (0.0, -0.1)),)},
+    "unresolved": {"tractions": (rm.Traction("load", (0.0, -25.0)),)},
+    "penetration": {
+        "obstacle": rm.Obstacle.graph("bottom", lambda x, y: -0.05 * ca.cos(16 * ca.pi * x) - 0.1)
+    },
+    "large": {"law": rm.PlaneStrain.from_young(2160.0, 0.3), "obstacle": rm.Obstacle.graph("bottom", -1.0)},
+    "tiny": {"law": rm.PlaneStrain.from_young(2.16e13, 0.3)},
+    "locking": {"law": rm.PlaneStrain.from_young(21600.0, 0.4999)},
+    "load": {"tractions": (rm.Traction("load", (0.0, lambda x, y: ca.if_else(x > 1000, 1, 0))),)},
     "idle": {
-        "dirichlet": ("left", Dirichlet("top", (None, 0.0))),
-        "tractions": Traction("load", (5.0, -1.0)),
+        "dirichlet": ("left", rm.Dirichlet("top", (None, 0.0))),
+        "tractions": rm.Traction("load", (5.0, -1.0)),
     },
 }
 
@@ -100,7 +88,7 @@ def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("name", ["", "6.1", "6.2", "6.3"])
 def test_a_sound_problem_is_not_warned_of(name: str, order: int) -> None:
-    problem = replace(EXAMPLES[name]() if name else sound(), order=order)
+    problem = replace(rm.EXAMPLES[name]() if name else sound(), order=order)
     assert signs(problem) == ()
     assert name or fixed.solve(problem).record()["warnings"] == []
 
@@ -112,20 +100,23 @@ def bent_at_its_end() -> MeshTri:
     return replace(mesh, doflocs=mesh.p + np.stack([0 * rise, rise]))
 
 
-PRESSED = {"dirichlet": (Dirichlet("top", (0.0, -0.1)),)}
+PRESSED = {"dirichlet": (rm.Dirichlet("top", (0.0, -0.1)),)}
 TOE = named(sound().mesh, {"toe": lambda x: (x[1] == 0) & (x[0] > 3.8)})
 
 
 @pytest.mark.parametrize(
     ("changes", "kind"),
     [
-        ({"law": PlaneStress.from_young(21600.0, 0.4999)}, "locking"),
+        ({"law": rm.PlaneStress.from_young(21600.0, 0.4999)}, "locking"),
         (PRESSED | WRONG["load"], "load"),
         ({"dirichlet": ("left", "top")}, "load"),  # the only one acts where displacements are given
-        ({"dirichlet": ("left", Dirichlet("top", (0.0, None)))}, "idle"),
-        ({"dirichlet": "left", "tractions": Traction("left", (0.0, 0.0))}, "idle"),
+        ({"dirichlet": ("left", rm.Dirichlet("top", (0.0, None)))}, "idle"),
+        ({"dirichlet": "left", "tractions": rm.Traction("left", (0.0, 0.0))}, "idle"),
         ({"mesh": bent_at_its_end()}, "round"),
-        (PRESSED | {"mesh": TOE, "obstacle": Obstacle.graph("toe", -0.05)}, "all-touching"),  # two nodes do
+        (
+            PRESSED | {"mesh": TOE, "obstacle": rm.Obstacle.graph("toe", -0.05)},
+            "all-touching",
+        ),  # two nodes do
     ],
 )
 def test_what_resembles_a_sign_is_none(changes: dict[str, Any], kind: str) -> None:
@@ -133,7 +124,9 @@ def test_what_resembles_a_sign_is_none(changes: dict[str, Any], kind: str) -> No
 
 
 def test_the_gap_of_a_membrane_is_not_compared_with_its_extent() -> None:
-    problem = ContactProblem(rectangle(4, 4), Laplace(-1.0), "left", Obstacle("bottom", (1.0,), 50.0))
+    problem = rm.ContactProblem(
+        rm.shapes.rectangle(4, 4), rm.Laplace(-1.0), "left", rm.Obstacle("bottom", (1.0,), 50.0)
+    )
     (only,) = signs(problem)
     assert only.kind == "open"
     assert only.message.endswith("check units")
@@ -141,12 +134,12 @@ def test_the_gap_of_a_membrane_is_not_compared_with_its_extent() -> None:
 
 def test_a_round_contact_boundary_without_a_curve_is_told() -> None:
     arc, quarter = Circle((0.0, 1.0), 1.0), disc()
-    rough = replace(quarter, obstacle=Obstacle.graph("arc", -1.0), motion=Motion(None))
+    rough = replace(quarter, obstacle=rm.Obstacle.graph("arc", -1.0), motion=rm.Motion(None))
     (said,) = [one.message for one in signs(rough) if one.kind == "round"]
     assert "'arc' bends at 8 of its 8 inner nodes" in said
     assert "[curves] arc = 'circle'" in said
     for right in (
-        replace(rough, motion=Motion(None, curves={"arc": arc})),
+        replace(rough, motion=rm.Motion(None, curves={"arc": arc})),
         quarter,
     ):  # that has a straight contact
         assert "round" not in {warning.kind for warning in signs(right)}
@@ -158,12 +151,12 @@ def test_overlaps_of_a_round_body_are_measured_on_its_arcs(depth: float, order: 
     """The foundation has the body's own radius: every node is as deep as the foundation is too small."""
     arc = Circle((0.0, 0.0), 1.0)
     mesh = from_arrays(*quarter_ring(12))
-    problem = ContactProblem(
+    problem = rm.ContactProblem(
         mesh,
-        PlaneStrain.from_young(1000.0, 0.3),
-        (Dirichlet("inner", (0.0, 0.0)),),
-        Obstacle.circle("outer", (0.0, 0.0), 1.0 - depth, inside=True),
-        motion=Motion(curves={"outer": arc}),
+        rm.PlaneStrain.from_young(1000.0, 0.3),
+        (rm.Dirichlet("inner", (0.0, 0.0)),),
+        rm.Obstacle.circle("outer", (0.0, 0.0), 1.0 - depth, inside=True),
+        motion=rm.Motion(curves={"outer": arc}),
         order=order,
     )
     said = [one.message for one in signs(problem) if one.kind == "overlap"]
@@ -173,7 +166,7 @@ def test_overlaps_of_a_round_body_are_measured_on_its_arcs(depth: float, order: 
 
 def quarter_ring(n: int, ratio: float = 1.0) -> tuple[Any, ...]:
     """Nodes, triangles and edges between radii 0.8 and 1, or ellipses; n edges along each."""
-    angle, grid = np.arange(n + 1) * np.pi / (2 * n), rectangle(n, 1)
+    angle, grid = np.arange(n + 1) * np.pi / (2 * n), rm.shapes.rectangle(n, 1)
     column, row = np.rint(grid.p * [[n], [1]]).astype(int)
     p = (0.8 + 0.2 * row) * np.stack([np.cos(angle[column]), ratio * np.sin(angle[column])])
     names = {"inner": "bottom", "outer": "top"}
@@ -181,7 +174,7 @@ def quarter_ring(n: int, ratio: float = 1.0) -> tuple[Any, ...]:
     return p.T, counter_clockwise(p, grid.t).T, edges
 
 
-HEIGHT = DesignVariable("d", 0.01, (0.0, 0.5))
+HEIGHT = rm.DesignVariable("d", 0.01, (0.0, 0.5))
 
 
 @pytest.mark.parametrize(
@@ -193,18 +186,18 @@ HEIGHT = DesignVariable("d", 0.01, (0.0, 0.5))
     ],  # a circle; an ellipse; refused
 )
 def test_each_curve_that_is_advised_is_accepted(ratio: float, height: Any, expected: tuple[str, ...]) -> None:
-    problem = ContactProblem(
+    problem = rm.ContactProblem(
         from_arrays(*quarter_ring(12, ratio)),
-        PlaneStrain.from_young(1000.0, 0.3),
-        (Dirichlet("inner", (0.0, 0.0)),),
-        Obstacle.graph("outer", height),
+        rm.PlaneStrain.from_young(1000.0, 0.3),
+        (rm.Dirichlet("inner", (0.0, 0.0)),),
+        rm.Obstacle.graph("outer", height),
         design=() if expected else (HEIGHT,),
     )
     (said,) = curve_warnings(problem)
     assert tuple(kind for kind in FITTED if repr(kind) in said.message) == expected
     for kind in expected:
         curve = fitted(problem.mesh, "outer", kind)
-        there = replace(problem, motion=Motion(curves={"outer": curve}))
+        there = replace(problem, motion=rm.Motion(curves={"outer": curve}))
         assert not list(curve_warnings(there))
 
 
@@ -219,7 +212,7 @@ def test_overlaps_are_those_of_the_nodes_as_they_are() -> None:
 
 @pytest.mark.slow
 def test_what_the_given_mesh_was_warned_of_is_not_told_of_the_final_one() -> None:
-    problem = sound(obstacle=Obstacle.graph("bottom", lambda x, y: 0.03 * x - 0.05))
+    problem = sound(obstacle=rm.Obstacle.graph("bottom", lambda x, y: 0.03 * x - 0.05))
     said = rm.solve(problem, "joint").record()["warnings"]
     assert any("overlaps the body" in text for text in said)
     assert not any(text.startswith("at the end") for text in said)
@@ -227,9 +220,9 @@ def test_what_the_given_mesh_was_warned_of_is_not_told_of_the_final_one() -> Non
 
 def test_the_final_design_is_warned_of_as_well() -> None:
     problem = sound(
-        obstacle=Obstacle.graph("bottom", HEIGHT.symbol),
-        motion=Motion(0.0),
-        dirichlet=(Dirichlet("top", (0.0, 0.0)),),
+        obstacle=rm.Obstacle.graph("bottom", HEIGHT.symbol),
+        motion=rm.Motion(0.0),
+        dirichlet=(rm.Dirichlet("top", (0.0, 0.0)),),
         design=(HEIGHT,),
         tractions=(),
     )

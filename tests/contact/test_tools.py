@@ -10,11 +10,8 @@ import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.vtu import fields_of
-from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.problem.contact_problem import locally_refined
-from rmesh_nlp.solving.outer import Outer
 from support.taylor import taylor_order
 
 FORCE = 500.0
@@ -34,7 +31,7 @@ def pressed(
     tool: rm.Obstacle | tuple[rm.Obstacle, ...], n: tuple[int, int] = (8, 4), **changes: Any
 ) -> rm.ContactProblem:
     """A block 2 long and 1 high on its bottom, under a tool."""
-    mesh = rectangle(*n, x=(0.0, 2.0))
+    mesh = rm.shapes.rectangle(*n, x=(0.0, 2.0))
     law = rm.PlaneStrain.from_young(young=1e4, poisson=0.3)
     return rm.ContactProblem(mesh, law, "bottom", tool, **changes)
 
@@ -95,7 +92,7 @@ def test_formulations_agree(name: str, order: int) -> None:
 @pytest.mark.parametrize("objective", ["energy", "compliance"])
 @pytest.mark.parametrize("name", ["free roller", "along edges", "rubbing"])
 def test_gradient(name: str, objective: str) -> None:
-    outer = Outer.of(pressed(TOOLS[name], n=(4, 2), motion=rm.Motion(delta=0.08)))
+    outer = rm.Outer.of(pressed(TOOLS[name], n=(4, 2), motion=rm.Motion(delta=0.08)))
     function = outer.energy
     if objective != "energy":
         function = ReducedObjective(outer.energy, parse_objective(objective))
@@ -120,7 +117,7 @@ def test_hertz_line_contact() -> None:
     """K. L. Johnson, Contact Mechanics, 4.2: a^2 = 4 F R / (pi E*), p_0 = 2 F / (pi a)."""
     force, young, poisson, radius = 10.0, 1e4, 0.3, 1.0
     a = np.sqrt(4 * force * radius * (1 - poisson**2) / (np.pi * young))
-    mesh = rectangle(8, 8, x=(-1.0, 1.0), y=(-2.0, 0.0))
+    mesh = rm.shapes.rectangle(8, 8, x=(-1.0, 1.0), y=(-2.0, 0.0))
     tool = replace(rm.Obstacle.circle("top", (0.0, radius), radius), force=(0.0, -force))
     law = rm.PlaneStrain.from_young(young=young, poisson=poisson)
     problem = rm.ContactProblem(mesh, law, "bottom", tool, order=2)
@@ -134,7 +131,7 @@ def test_hertz_line_contact() -> None:
 
 
 def test_body_between_two_foundations() -> None:
-    mesh, law = rectangle(4, 4), rm.PlaneStrain.from_young(young=1e4, poisson=0.3)
+    mesh, law = rm.shapes.rectangle(4, 4), rm.PlaneStrain.from_young(young=1e4, poisson=0.3)
     both = rm.Obstacle("bottom"), TOOLS["punch"]
     middle = rm.Dirichlet("left", (0.0, None))
     solution = rm.solve(rm.ContactProblem(mesh, law, middle, both), "fixed")
@@ -161,7 +158,7 @@ def test_two_tools_on_one_boundary_and_a_corner_that_is_held(order: int) -> None
 def test_cylinder_under_a_punch() -> None:
     law = rm.Axisymmetric.from_young(young=1e4, poisson=0.3)
     foot = rm.Dirichlet("bottom", (None, 0.0))
-    problem = rm.ContactProblem(rectangle(4, 4), law, foot, TOOLS["punch"])
+    problem = rm.ContactProblem(rm.shapes.rectangle(4, 4), law, foot, TOOLS["punch"])
     solution = rm.solve(problem, "fixed")
     assert solution.tools["top"]["displacement"][1] == pytest.approx(-FORCE / (np.pi * 1e4))
     with pytest.raises(rm.BadInputError, match="moves along y, the axis, only"):
@@ -228,11 +225,11 @@ def test_refused(said: str) -> None:
 @pytest.mark.slow
 def test_shaft_that_is_all_that_holds_a_ring_has_the_pressure_of_lame() -> None:
     a, b, n = 17.5, 35.0, 4
-    grid = rectangle(n, 6 * n, x=(a, b), y=(-np.pi / 2, np.pi / 2))
+    grid = rm.shapes.rectangle(n, 6 * n, x=(a, b), y=(-np.pi / 2, np.pi / 2))
     (r, t), names = grid.p, {"axis": ("bottom", "top"), "bore": ("left",), "outside": ("right",)}
     facets = {name: np.concatenate([grid.boundaries[each] for each in of]) for name, of in names.items()}
     mesh = replace(grid, doflocs=np.stack([r * np.cos(t), r * np.sin(t)]), _boundaries=facets)
-    curves = {name: Circle((0.0, 0.0), radius) for name, radius in (("bore", a), ("outside", b))}
+    curves = {name: rm.Circle((0.0, 0.0), radius) for name, radius in (("bore", a), ("outside", b))}
     law, shaft = rm.PlaneStress.from_young(1.0, 0.3), rm.Obstacle.circle("bore", (0, 0), a + 0.1)
     given, motion = rm.Dirichlet("axis", (0.0, None)), rm.Motion(0.0, curves=curves)
     solution = rm.solve(rm.ContactProblem(mesh, law, given, shaft, motion, order=2), "fixed")
@@ -257,7 +254,7 @@ def test_derivatives_by_the_shape_of_a_tool_under_a_force(order: int) -> None:
     of_slope = rm.Obstacle("top", (0.0, -1.0), lambda x, y: slope.symbol * x)
     for tool, variable in ((of_radius, radius), (of_slope, slope)):
         tool = replace(tool, force=(0.0, -FORCE))
-        outer = Outer.of(pressed(tool, order=order, motion=rm.Motion(0.0), design=variable))
+        outer = rm.Outer.of(pressed(tool, order=order, motion=rm.Motion(0.0), design=variable))
         function = ReducedObjective(outer.energy, parse_objective("mean(right, ux)"))
         q, d = np.zeros(outer.n), np.full(outer.n, 1e-5)
         change = (function(q + d).value - function(q - d).value) / 2

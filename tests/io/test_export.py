@@ -1,7 +1,5 @@
 """Results out: fields where they belong, meshes with the names of their parts, series of iterates, tables."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,19 +8,16 @@ import meshio
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.sampling import edges_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import Series, cell_data, element_table, node_table, write_mesh, write_solution
 from rmesh_nlp.io.vtu import fields_of, read_vtu, state_of
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Relative, Traction
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.curved import disc
 from support.designs import LOAD, E, block
@@ -58,7 +53,7 @@ def series_of(problem, points, *settings):
 
 
 def test_frames_of_a_design_have_its_numbers(tmp_path):
-    outer = Outer.of(block(E, LOAD), "area")
+    outer = rm.Outer.of(block(E, LOAD), "area")
     q = np.zeros(outer.n)
     q[-2:] = 0.5, -0.5
     series_of(outer.problem, [0 * q, q]).write(tmp_path)
@@ -129,7 +124,7 @@ def test_file_has_all_fields(problem, solution, tmp_path):
 @pytest.mark.parametrize("order", ORDERS)
 def test_nodes_of_curved_bodies_are_on_the_curve_and_vtu_displacements_reproduce_polynomials(order, tmp_path):
     """ParaView's interpolation of what is written is the displacement that was computed."""
-    problem = replace(disc({"arc": Circle((0.0, 1.0), 1.0)}), order=order)
+    problem = replace(disc({"arc": rm.Circle((0.0, 1.0), 1.0)}), order=order)
     solution = fixed.solve(problem)
     write_solution(solution, tmp_path / "disc.vtu")
     file, mesh = meshio.read(tmp_path / "disc.vtu"), solution.mesh
@@ -163,7 +158,7 @@ def test_formats_without_quadratic_triangles_get_the_vertices(problem, solution,
     "write", [lambda path, one: write_mesh(one.mesh, path), lambda path, one: write_solution(one, path)]
 )
 def test_a_suffix_of_no_format_is_bad_input(solution, tmp_path, write):
-    with pytest.raises(BadInputError, match=r"^\S*a\.foo: Could not deduce file format"):
+    with pytest.raises(rm.BadInputError, match=r"^\S*a\.foo: Could not deduce file format"):
         write(tmp_path / "a.foo", solution)
 
 
@@ -211,7 +206,7 @@ def test_names_of_boundaries_and_subdomains_are_groups_of_gmsh(tmp_path):
     assert found == {name: corners(mesh.p, cells) for name, cells in expected.items()}
     assert sum(len(block.data) for block in file.cells if block.type == "triangle") == mesh.t.shape[1]
     assert sorted(int(number) for number, _ in file.field_data.values()) == list(range(1, 7))  # each its own
-    again = read_mesh(tmp_path / "mesh.msh")
+    again = rm.read_mesh(tmp_path / "mesh.msh")
     assert corners(again.p, again.t) == corners(mesh.p, mesh.t)
     sizes = [{name: len(v) for name, v in one.boundaries.items()} for one in (again, mesh)]
     assert sizes[0] == sizes[1]

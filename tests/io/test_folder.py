@@ -1,7 +1,5 @@
 """Files are whole or not there, and nothing but own files is replaced or moved."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

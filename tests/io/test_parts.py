@@ -49,9 +49,7 @@ def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) ->
         ("laminate", "crack", 7.717, -0.23206),
     ],
 )
-def test_new_mesh_of_two_bodies_is_better_than_the_part_has(
-    name: str, boundary: str, force: float, energy: float
-) -> None:
+def test_new_mesh_of_two_bodies_is_better_than_the_part_has(name, boundary, force, energy):
     problem = rm.read_problem(PARTS / f"{name}.toml")
     problem = replace(problem, obstacle=tuple(replace(part, coulomb=0.0) for part in problem.obstacles))
     given = Solved.of(problem)

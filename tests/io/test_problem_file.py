@@ -12,28 +12,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.cli.preparing import solve_options
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import load_problem, template
 from rmesh_nlp.io.problem_messages import ProblemFileError, unquoted
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Elastic,
-    Motion,
-    Obstacle,
-    Place,
-    PlaneStrain,
-    Relative,
-    Shape,
-    Traction,
-)
+from rmesh_nlp.problem import Elastic, Place
 from support.orders import slow_but
 from support.problem_files import DESIGN, FILES, PLATE, SCALAR, VALID
 
@@ -82,22 +69,22 @@ def test_elements_of_abaqus_say_the_law(kinds, law, write, tmp_path) -> None:
 
 def test_file_means_what_python_means(write):
     ours = load_problem(write(VALID))
-    mesh = rectangle(8, 3, x=(0, 4))
+    mesh = rm.shapes.rectangle(8, 3, x=(0, 4))
     middle, edge = mesh.p[:, mesh.t].mean(axis=1), mesh.p[:, mesh.facets].mean(axis=1)
     load = np.flatnonzero((edge[1] == 1) & (edge[0] > 2))
     mesh = mesh.with_boundaries({"load": load}).with_subdomains(
         {"hard": middle[0] > 2, "soft": middle[0] < 2}
     )
-    theirs = ContactProblem(
+    theirs = rm.ContactProblem(
         mesh=mesh,
         law={
-            "hard": PlaneStrain.from_young(2.2e4, 0.3, (0.0, lambda x, y: -20 * x)),
-            "soft": PlaneStrain(1.15e4, 0.83e4),
+            "hard": rm.PlaneStrain.from_young(2.2e4, 0.3, (0.0, lambda x, y: -20 * x)),
+            "soft": rm.PlaneStrain(1.15e4, 0.83e4),
         },
-        dirichlet=("left", Dirichlet("right", (None, 0.0))),
-        obstacle=Obstacle.graph("bottom", lambda x, y: -0.01 * x**2, friction=lambda x, y: 10 + x),
-        motion=Motion(Relative(0.3), pinned=("top", 0), min_area_fraction=0.02),
-        tractions=(Traction("load", (0.0, Expression("-30*sin(pi*x/4)"))),),
+        dirichlet=("left", rm.Dirichlet("right", (None, 0.0))),
+        obstacle=rm.Obstacle.graph("bottom", lambda x, y: -0.01 * x**2, friction=lambda x, y: 10 + x),
+        motion=rm.Motion(rm.Relative(0.3), pinned=("top", 0), min_area_fraction=0.02),
+        tractions=(rm.Traction("load", (0.0, Expression("-30*sin(pi*x/4)"))),),
         quadrature=4,
     )
     energies = [ContactSolver(one).given.energy for one in (ours, theirs)]
@@ -118,8 +105,8 @@ tied = [[4, 7]]
 min_angle = 7
 """
     problem = load_problem(write(SMALL + LAW + rules))
-    assert problem.obstacles == (Obstacle("bottom", (1.0,), 0.2, gap="edge"),)
-    assert problem.motion == Motion(
+    assert problem.obstacles == (rm.Obstacle("bottom", (1.0,), 0.2, gap="edge"),)
+    assert problem.motion == rm.Motion(
         0.1, pinned=("top",), slides=(3,), free=("right",), tied=((4, 7),), min_angle=7
     )
     motion = "[motion]\nmin_angle = 0\nmin_area_fraction = 0.99\n"
@@ -130,16 +117,16 @@ min_angle = 7
 
 LEFT_FIXED = VALID.replace('right = ["free", 0.0]\n', "")
 FOUNDATIONS = {
-    "offset = 0.2\nnormal = [3, 4]": Obstacle("bottom", (0.6, 0.8), 0.2),
-    "line = { point = [1, -2], normal = [3, 4] }": Obstacle.line("bottom", (1, -2), (3, 4)),
-    "circle = { centre = [1, -3], radius = 2 }": Obstacle.circle("bottom", (1, -3), 2),
-    "circle = { centre = [1.1, -0.3], radius = 9, inside = true }": Obstacle.circle(
+    "offset = 0.2\nnormal = [3, 4]": rm.Obstacle("bottom", (0.6, 0.8), 0.2),
+    "line = { point = [1, -2], normal = [3, 4] }": rm.Obstacle.line("bottom", (1, -2), (3, 4)),
+    "circle = { centre = [1, -3], radius = 2 }": rm.Obstacle.circle("bottom", (1, -3), 2),
+    "circle = { centre = [1.1, -0.3], radius = 9, inside = true }": rm.Obstacle.circle(
         "bottom", (1.1, -0.3), 9, inside=True
     ),
-    "points = [[0, -0.5], [1, -0.1], [2, -0.4]]": Obstacle.graph(
+    "points = [[0, -0.5], [1, -0.1], [2, -0.4]]": rm.Obstacle.graph(
         "bottom", lambda x, y: -0.1 - 0.4 * abs(x - 1) + (x > 1) * 0.1 * (x - 1)
     ),
-    'curve = "7*(y + 0.2 - 0.1*x**2)"': Obstacle.curve("bottom", lambda x, y: y + 0.2 - 0.1 * x**2),
+    'curve = "7*(y + 0.2 - 0.1*x**2)"': rm.Obstacle.curve("bottom", lambda x, y: y + 0.2 - 0.1 * x**2),
 }
 
 
@@ -158,13 +145,13 @@ def test_a_tool_in_a_file_is_one_in_python(write, more):
     text = f"contact = {{ boundary = 'top', normal = [0, -1], {more} }}"
     (read,) = load_problem(write(SMALL + law + text)).obstacles
     tool = {"force": (0.0, -3.0), "move": "y"} if "force" in more else {"displacement": (0.0, -0.1)}
-    assert read == Obstacle("top", (0.0, -1.0), **tool)
+    assert read == rm.Obstacle("top", (0.0, -1.0), **tool)
 
 
 def test_symmetry_units_and_point_loads(write):
     more = '[units]\nlength = "mm"\nforce = "N"\n[[point_loads]]\nat = [2, 1]\nforce = [3, -7]\n'
     problem = load_problem(write(VALID.replace('[0, "0*y"]', '"symmetry"') + more))
-    assert problem.supports[0] == Dirichlet("left", (0.0, None))
+    assert problem.supports[0] == rm.Dirichlet("left", (0.0, None))
     assert problem.units.stress == "N/mm²"
     (load,) = problem.point_loads
     assert (problem.mesh.p[:, load.node].tolist(), load.force) == ([2.0, 1.0], (3.0, -7.0))
@@ -172,7 +159,7 @@ def test_symmetry_units_and_point_loads(write):
 
 def test_scalar_problem_with_an_obstacle_in_the_interior_and_an_order(write):
     problem = load_problem(write(SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
-    assert problem.motion == Motion(None, min_angle=5)
+    assert problem.motion == rm.Motion(None, min_angle=5)
     assert problem.obstacle.boundary is Place.INTERIOR
     assert problem.obstacle.distances(problem.mesh.p) == pytest.approx(0.1)
     assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)  # a constant is a number
@@ -186,12 +173,12 @@ def test_scalar_problem_with_an_obstacle_in_the_interior_and_an_order(write):
 @pytest.mark.parametrize(
     ("curve", "kind"),
     [
-        ("{ circle = [5, 5, 2.5] }", Circle),
-        ('"circle"', Circle),
-        ('"spline"', Spline),
+        ("{ circle = [5, 5, 2.5] }", rm.Circle),
+        ('"circle"', rm.Circle),
+        ('"spline"', rm.Spline),
         (
             '{ x = "5 + 2.5*cos(t)", y = "5 + 2.5*sin(t)", t = [0, 6.283185307179586], closed = true }',
-            Parametrised,
+            rm.Parametrised,
         ),
     ],
 )
@@ -202,7 +189,7 @@ def test_nodes_slide_along_the_curve_of_their_boundary(write, curve, kind):
     assert np.all(free.mobility[hole] == Mobility.SLIDING)
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, free.n)
     radius = np.hypot(*(free.positions.values(q)[:, hole] - 5))
-    np.testing.assert_allclose(radius, 2.5, atol=1e-12 if kind is not Spline else 0.05)
+    np.testing.assert_allclose(radius, 2.5, atol=1e-12 if kind is not rm.Spline else 0.05)
 
 
 def read(path: Path) -> None:
@@ -213,7 +200,7 @@ def read(path: Path) -> None:
 
 def refused(path: Path) -> list[str]:
     """The lines of the error without the name of the file, with which each begins."""
-    with pytest.raises(BadInputError) as caught:
+    with pytest.raises(rm.BadInputError) as caught:
         read(path)
     lines = str(caught.value).split("\n")
     assert all(line.startswith(f"{path}: ") for line in lines)
@@ -303,7 +290,7 @@ def test_names_of_the_design_stand_in_expressions(write):
     problem = load_problem(write(DESIGN))
     assert problem.start == {"E": 1.0, "F": 0.1, "h0": 0.02, "load": 1.0, "bow": 0.0}
     assert [shape.name for shape in problem.shapes] == ["bow"]
-    assert isinstance(problem.shapes[0], Shape)
+    assert isinstance(problem.shapes[0], rm.Shape)
     assert [one.bounds for one in problem.constraints] == [(0.01, np.inf), (-np.inf, 900.0)]
     assert problem.motion.is_fixed  # a design alone
     moved = load_problem(write(DESIGN.replace("[design]", "[motion]\ndelta = 0.05\n[design]")))

@@ -1,7 +1,5 @@
 """Folders of results and their records: rows of studies, histories, and files that are half there."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math
@@ -14,14 +12,7 @@ import pytest
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import Manifest, append_whole
-from rmesh_nlp.io.records import (
-    REQUIRED,
-    DamagedRecordsWarning,
-    parse_json,
-    read_lines,
-    read_record,
-    to_json,
-)
+from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, parse_json, read_lines, read_record, to_json
 from rmesh_nlp.io.results import (
     HISTORY,
     RECORD,

@@ -1,19 +1,15 @@
 """Meshes from arrays and of simple shapes: repairs are said, errors, overlaps and cracks are named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from skfem import MeshTri
 
-from rmesh_nlp.errors import ProblemError
+import rmesh_nlp as rm
 from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 HALVES = [[0, 1, 2], [0, 2, 3]]
@@ -117,11 +113,11 @@ def test_shapes_have_their_names_and_the_right_areas(make: Callable, area: float
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: rectangle(0, 2), "nx must be a whole number of at least 1, got 0"),
-        (lambda: rectangle(2, 1.5), "ny must be a whole number of at least 1, got 1.5"),
-        (lambda: rectangle(2, 2, x=(1, 1)), "x must be two increasing numbers"),
-        (lambda: rectangle(2, 2, diagonal="both"), "got 'both'"),
-        (lambda: rectangle(10**3, 501), "about 1e[+]06 triangles, more than 1e"),
+        (lambda: rm.shapes.rectangle(0, 2), "nx must be a whole number of at least 1, got 0"),
+        (lambda: rm.shapes.rectangle(2, 1.5), "ny must be a whole number of at least 1, got 1.5"),
+        (lambda: rm.shapes.rectangle(2, 2, x=(1, 1)), "x must be two increasing numbers"),
+        (lambda: rm.shapes.rectangle(2, 2, diagonal="both"), "got 'both'"),
+        (lambda: rm.shapes.rectangle(10**3, 501), "about 1e[+]06 triangles, more than 1e"),
         (lambda: shapes.plate_with_hole(1.0, radius=5.0), "radius 5.0 does not fit"),
         (lambda: shapes.half_disc(0.1, contact=1.0), "contact half-length 1.0 must be smaller"),
         (lambda: shapes.wedge_block(0.1, rise=1.0), "rise 1.0 must be at least 0 and smaller"),
@@ -189,8 +185,8 @@ def test_arrays_and_problems_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=message):
         from_arrays(nodes, triangles)
     mesh = MeshTri(np.ascontiguousarray(nodes.T), np.ascontiguousarray(triangles.T))
-    with pytest.raises(ProblemError, match=message) as caught:
-        ContactProblem(mesh.with_boundaries({"left": [0]}), Laplace(1.0), ("left",))
+    with pytest.raises(rm.ProblemError, match=message) as caught:
+        rm.ContactProblem(mesh.with_boundaries({"left": [0]}), rm.Laplace(1.0), ("left",))
     assert caught.value.place == ("mesh",)
 
 
@@ -217,7 +213,7 @@ def test_the_same_is_found_wherever_the_mesh_lies(factor: float, seed: int) -> N
 
 
 def test_pieces_in_holes_beside_each_other_and_touching_in_a_node_are_sound() -> None:
-    ring = rectangle(6, 6)
+    ring = rm.shapes.rectangle(6, 6)
     middle = ring.p[:, ring.t].mean(axis=1)
     hole = np.max(np.abs(middle - 0.5), axis=0) < 1 / 6
     kept = ring.t[:, ~hole]

@@ -1,7 +1,5 @@
 """Curves, nodes that slide along them, and triangles blended to arcs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,36 +8,27 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.fem.cells import Blended
 from rmesh_nlp.fem.energy import strain_energy
 from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.meshes.curves import (
-    Circle,
-    Curve,
-    Parametrised,
-    Spline,
-    fitted_circle,
-    spline_through,
-)
+from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
 from rmesh_nlp.models.levels import coarsened
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.problem.body import Body, determinants, gradients
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
-from rmesh_nlp.solving.solution import Solution
 from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 from support.formulations import auto, joint, mpcc, nested
 
 ARC = Circle((0.0, 1.0), 1.0)
 
 
-def off(problem: ContactProblem, mesh: Any, name: str, circle: Circle) -> float:
+def off(problem: rm.ContactProblem, mesh: Any, name: str, circle: Circle) -> float:
     """Largest distance of a boundary's nodes from a circle."""
     away = mesh.p[:, problem.boundary_nodes(name)] - np.array(circle.centre)[:, None]
     return float(np.max(np.abs(np.hypot(*away) - circle.radius)))
 
 
-def moved(problem: ContactProblem, solution: Solution, name: str) -> float:
+def moved(problem: rm.ContactProblem, solution: rm.Solution, name: str) -> float:
     nodes = problem.boundary_nodes(name)
     return float(np.max(np.abs(solution.mesh.p[:, nodes] - problem.mesh.p[:, nodes])))
 
@@ -95,7 +84,7 @@ HALF = 0.5
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_triangle_that_its_arc_folds_has_no_energy(order: int) -> None:
     """So a solver shortens its steps to there, and does not find the minus infinity behind."""
-    energy = strain_energy(Laplace(), Blended(Circle((0.0, 0.0), 1.0), 1, order))
+    energy = strain_energy(rm.Laplace(), Blended(Circle((0.0, 0.0), 1.0), 1, order))
     u = np.arange(float(energy.size1_in(2)))
     for apex, upright in ((1.3, True), (1.7, True), (1.1, False), (0.9, False)):
         found = float(energy([HALF, -HALF], [apex, 0.0], u)[0])
@@ -105,7 +94,7 @@ def test_a_triangle_that_its_arc_folds_has_no_energy(order: int) -> None:
 @pytest.mark.slow
 def test_relocation_of_order_2_beside_a_hole_is_not_lost_in_folded_triangles() -> None:
     solution = joint.solve(replace(plate({"hole": HOLE}), order=2))
-    assert solution.status is Status.CONVERGED
+    assert solution.status is rm.Status.CONVERGED
     assert solution.assessment.gain_audited > 0.03
 
 

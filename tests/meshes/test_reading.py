@@ -1,7 +1,5 @@
 """Mesh files: names survive, files of unknown origin are refused in one line, readers without end stopped."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import warnings
@@ -13,12 +11,10 @@ import meshio
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.meshes import MeshRepairWarning, named
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.meshes.reading import read_mesh
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
 from support.formulations import joint
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -28,9 +24,9 @@ HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 @pytest.mark.parametrize("suffix", ["msh", "vtk"])
 def test_names_survive_a_file_of_scikit_fem(tmp_path: Path, suffix: str) -> None:
     """It keeps them in data of elements, in files of gmsh as well."""
-    mesh = named(rectangle(4, 3), subdomains={"west": lambda p: p[0] < 0.5})
+    mesh = named(rm.shapes.rectangle(4, 3), subdomains={"west": lambda p: p[0] < 0.5})
     mesh.save(tmp_path / f"a.{suffix}")
-    back = read_mesh(tmp_path / f"a.{suffix}")
+    back = rm.read_mesh(tmp_path / f"a.{suffix}")
     assert {name: part.size for name, part in back.boundaries.items()} == {
         name: part.size for name, part in mesh.boundaries.items()
     }
@@ -40,12 +36,12 @@ def test_names_survive_a_file_of_scikit_fem(tmp_path: Path, suffix: str) -> None
 @pytest.mark.parametrize("suffix", ["msh", "vtu", "vtk"])
 def test_names_survive_a_file(tmp_path: Path, suffix: str) -> None:
     halves = {"west": lambda p: p[0] < 0.5, "east": lambda p: p[0] > 0.5}
-    mesh = named(rectangle(4, 3), {"part": lambda p: (p[1] == 1) & (p[0] > 0.5)}, halves)
+    mesh = named(rm.shapes.rectangle(4, 3), {"part": lambda p: (p[1] == 1) & (p[0] > 0.5)}, halves)
     path = tmp_path / f"a.{suffix}"
     write_mesh(mesh, path)
     with warnings.catch_warnings():
         warnings.simplefilter("error", MeshRepairWarning)
-        back = read_mesh(path)
+        back = rm.read_mesh(path)
 
     def places(m: Any) -> dict[str, list]:
         """Middles of what has a name: cells may be numbered anew."""
@@ -63,7 +59,7 @@ def test_groups_without_names_get_numbers(tmp_path: Path) -> None:
     meshio.Mesh(SQUARE, cells, cell_data=gmsh).write(tmp_path / "a.msh", file_format="gmsh22", binary=False)
     meshio.Mesh(SQUARE, cells, cell_data={"medit:ref": tags}).write(tmp_path / "a.mesh")
     for name in ("a.msh", "a.mesh"):
-        mesh = read_mesh(tmp_path / name)
+        mesh = rm.read_mesh(tmp_path / name)
         edges = {name: mesh.facets[:, facets].T.tolist() for name, facets in mesh.boundaries.items()}
         assert edges == {"boundary-7": [[0, 1]], "boundary-8": [[2, 3]]}
         assert {name: t.tolist() for name, t in mesh.subdomains.items()} == {"subdomain-5": [0]}
@@ -89,7 +85,7 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
         "a.xyz": r"cannot be read as a mesh: unknown extension '\.xyz': choose from",
     }.items():
         with pytest.raises(ValueError, match=f"{name}: {message}"):
-            read_mesh(tmp_path / name)
+            rm.read_mesh(tmp_path / name)
 
 
 CORNERS = "*NODE\n1, 0, 0\n2, 1, 0\n3, 1, 1\n4, 0, 1\n"
@@ -112,11 +108,7 @@ OLD += "$Elements\n1\n1 2 0 1 2 3\n$EndElements\n"
         ("a.inp", "*INCLUDE, INPUT=b.inp\n", "b.inp: put this file there"),
         ("a.inp", "*INCLUDE, INPUT=a.inp\n", "let none include itself"),
         ("a.inp", "\xff\x00", "has no triangles or quadrilaterals: export the surface too"),
-        (
-            "a.msh",
-            "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 4 1 4\n2 1",
-            "is damaged or ends early",
-        ),
+        ("a.msh", "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 4 1 4\n2 1", "is damaged or ends early"),
         ("a.msh", "$MeshFormat\n4 0 8\n$EndMeshFormat\n", "is damaged or ends early"),
         ("a.msh", "$MeshFormat\n4 1 8\n\1\0\0\0\n$EndMeshFormat\n", "gmsh OLD.msh -save -format msh41"),
         ("a.msh", OLD.replace("0 0 0\n2", "0 0\n2"), "cannot be read: "),
@@ -130,23 +122,17 @@ OLD += "$Elements\n1\n1 2 0 1 2 3\n$EndElements\n"
         ("a.unv", "    -1\n  2411\n", "of the format unv (BadInputError: it ends within a section)"),
         ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "the node 9 of an element is missing"),
         ("a.xdmf", "", "it is empty: write it again"),
-        (
-            "a.xdmf",
-            "<Xdmf>",
-            XDMF_READ + "ParseError: no element found",
-        ),
+        ("a.xdmf", "<Xdmf>", XDMF_READ + "ParseError: no element found"),
         ("a.xdmf", '<Xdmf Version="9.0"/>', XDMF_READ + "ReadError: Unknown XDMF version 9.0"),
         ("a.h5m", "x", "of the format h5m (ModuleNotFoundError: No module named 'h5py')"),
     ],
 )
-def test_a_file_that_cannot_be_read_says_why_in_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, content: str, reason: str
-) -> None:
+def test_a_file_that_cannot_be_read_says_why_in_one_line(tmp_path, capfd, name, content, reason):
     if name == "a.h5m" and find_spec("h5py"):
         pytest.skip("h5py is installed")
     (tmp_path / name).write_bytes(content.encode("latin-1"))
     with pytest.raises(ValueError, match=re.escape(reason)) as caught:
-        read_mesh(tmp_path / name)
+        rm.read_mesh(tmp_path / name)
     said = str(caught.value)
     assert said.startswith(str(tmp_path / name))
     assert "\n" not in said
@@ -157,11 +143,11 @@ def test_a_file_that_cannot_be_read_says_why_in_one_line(
 def test_joint_beats_the_published_energy_of_a_stretched_plate_with_valid_elements() -> None:
     """The mesh of the h- and r-adaptivity tests of NeuROM-Py, which stops at 0.8375033 with two slivers."""
     bottom, right, top, left, hole = (f"boundary-{i}" for i in (111, 112, 113, 114, 115))
-    problem = ContactProblem(
-        mesh=read_mesh(Path(__file__).parents[1] / "data" / "plate_484.msh"),
-        law=PlaneStrain(lame_lambda=1.25, lame_mu=1.0),
-        dirichlet=(bottom, Dirichlet(top, (0.0, 1.0))),
-        motion=Motion(None, pinned=(bottom, right, top, left, hole), min_area_fraction=0.01),
+    problem = rm.ContactProblem(
+        mesh=rm.read_mesh(Path(__file__).parents[1] / "data" / "plate_484.msh"),
+        law=rm.PlaneStrain(lame_lambda=1.25, lame_mu=1.0),
+        dirichlet=(bottom, rm.Dirichlet(top, (0.0, 1.0))),
+        motion=rm.Motion(None, pinned=(bottom, right, top, left, hole), min_area_fraction=0.01),
     )
     solution = joint.solve(problem)
     assert solution.success
@@ -184,7 +170,7 @@ def test_a_set_of_several_blocks_is_read_whole(tmp_path) -> None:
     path.write_text(
         f"{nodes}{edges}{faces}*ELSET, ELSET=held\n1, 3\n*ELSET, ELSET=body\n4, 5\n", encoding="utf-8"
     )
-    mesh = read_mesh(path)
+    mesh = rm.read_mesh(path)
     assert mesh.facets[:, mesh.boundaries["held"]].T.tolist() == [[0, 1], [2, 3]]
     assert mesh.subdomains["body"].tolist() == [0, 1]
 
@@ -197,7 +183,7 @@ def test_a_set_of_nodes_is_the_boundary_of_the_outer_edges_between_them(tmp_path
         "1, 1, 2, 3\n2, 1, 3, 4\n*NSET, NSET=CORNER\n1, 2, 3\n*NSET, NSET=ONE\n4\n",
         encoding="utf-8",
     )
-    mesh = read_mesh(path)
+    mesh = rm.read_mesh(path)
     assert {*mesh.boundaries} == {"CORNER"}
     assert sorted(mesh.facets[:, mesh.boundaries["CORNER"]].T.tolist()) == [[0, 1], [1, 2]]
 
@@ -248,7 +234,7 @@ def test_entities_in_two_groups_of_gmsh_are_in_both(tmp_path: Path) -> None:
         ("", {"boundary-1": 1, "boundary-2": 2}, {"subdomain-3": 1, "subdomain-4": 2}),
     ):
         path.write_text(MSH.format(names=names))
-        mesh = read_mesh(path)
+        mesh = rm.read_mesh(path)
         assert {name: part.size for name, part in mesh.boundaries.items()} == edges
         assert {name: part.size for name, part in mesh.subdomains.items()} == elements
 
@@ -317,7 +303,7 @@ def test_files_of_gmsh_are_read_with_all_groups(tmp_path: Path, made: str, optio
         "upright": "its x-z plane is taken",
     }
     with pytest.warns(MeshRepairWarning, match=said[made]) if made in said else contextlib.nullcontext():
-        mesh = read_mesh(path)
+        mesh = rm.read_mesh(path)
     has_names = options.get("Mesh.MshFileVersion") != 1
     bottom, foot, body, half = [
         ("boundary-1", "boundary-2", "subdomain-3", "subdomain-4"), ("bottom", "foot", "body", "foot")
@@ -336,11 +322,11 @@ def test_a_reader_that_finds_no_end_is_ended(tmp_path: Path, monkeypatch: pytest
     whole = "OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
     path = tmp_path / "a.off"
     path.write_text(whole)
-    assert read_mesh(path).nelements == 2
+    assert rm.read_mesh(path).nelements == 2
     monkeypatch.setattr("rmesh_nlp.by_meshio.SECONDS", 0.1)
     path.write_text("OFF\n")
     with pytest.raises(ValueError, match=r"of the format off \(time_limit\): if it is not damaged, write it"):
-        read_mesh(path)
+        rm.read_mesh(path)
 
 
 NASTRAN = """GRID    1               0.      0.      0.
@@ -374,11 +360,11 @@ MARKER_TAG= 1\nMARKER_ELEMS = 1\n3 2 0
 def test_names_of_nastran_and_su2(tmp_path: Path, name: str, content: str, edges: dict) -> None:
     """Properties are numbers, markers words or numbers; what ends early is refused."""
     (tmp_path / name).write_text(content)
-    mesh = read_mesh(tmp_path / name)
+    mesh = rm.read_mesh(tmp_path / name)
     assert {name: mesh.facets[:, one].ravel().tolist() for name, one in mesh.boundaries.items()} == edges
     (tmp_path / name).write_text(content[:-9])
     with pytest.raises(ValueError, match="of the format"):
-        read_mesh(tmp_path / name)
+        rm.read_mesh(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -389,7 +375,7 @@ def test_cards_of_nastran_that_would_be_passed_over_are_refused(tmp_path: Path, 
     path = tmp_path / "a.bdf"
     path.write_text(f"{card}\n{NASTRAN}")
     with pytest.raises(ValueError, match="write CTRIA3 or CQUAD4, and GRID in the global system"):
-        read_mesh(path)
+        rm.read_mesh(path)
 
 
 def test_a_file_of_one_part_of_a_mesh_of_gmsh_is_refused(tmp_path: Path) -> None:
@@ -402,23 +388,23 @@ def test_a_file_of_one_part_of_a_mesh_of_gmsh_is_refused(tmp_path: Path) -> None
     text = "".join(f"${name}\n{content}\n$End{name}\n" for name, content in sections.items())
     path.write_text(text)
     with pytest.raises(ValueError, match="surface 2 of a physical group has no elements"):
-        read_mesh(path)
+        rm.read_mesh(path)
     path.write_text(text.replace("2 1 0 1 7 0", "2 1 0 0 0"))  # it is in no group
-    assert read_mesh(path).nelements == 1
+    assert rm.read_mesh(path).nelements == 1
 
 
 def test_names_that_no_edge_has_are_told(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
     path.write_text(MSH.format(names=NAMES.format(curve="foot").replace("4\n1 1", '5\n0 9 "corner"\n1 1')))
     with pytest.warns(MeshRepairWarning, match="left out what names no edge or triangle: corner"):
-        read_mesh(path)
+        rm.read_mesh(path)
 
 
 def test_quadrilaterals_are_cut_along_the_shorter_diagonal(tmp_path: Path) -> None:
     skewed = np.array([[0, 0, 0], [1, 0, 0], [1.5, 1, 0], [0.5, 1, 0]])
     meshio.Mesh(skewed, [("quad", [[0, 1, 2, 3]])]).write(tmp_path / "a.vtu")
     with pytest.warns(MeshRepairWarning, match="cut 1 quadrilaterals into triangles"):
-        mesh = read_mesh(tmp_path / "a.vtu")
+        mesh = rm.read_mesh(tmp_path / "a.vtu")
     assert [1, 3] in mesh.facets.T.tolist()
 
 
@@ -467,7 +453,7 @@ def test_files_of_abaqus_are_read_with_all_sets(tmp_path: Path) -> None:
     path.write_text(
         PART.replace("*Surface, type=ELEMENT", "*Include, input=more.inp\n*Surface, type=ELEMENT")
     )
-    mesh = read_mesh(path)
+    mesh = rm.read_mesh(path)
     edges = {
         name: sorted(map(tuple, mesh.facets[:, part].T.tolist())) for name, part in mesh.boundaries.items()
     }
@@ -481,4 +467,4 @@ def test_files_of_abaqus_are_read_with_all_sets(tmp_path: Path) -> None:
     }  # fmt: skip
     path.write_text(PART.split("*Surface")[0] + "*Nset, nset=low\nP-1.1\n")
     with pytest.raises(ValueError, match="low is a set of the part too"):
-        read_mesh(path)
+        rm.read_mesh(path)
