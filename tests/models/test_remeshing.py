@@ -217,11 +217,3 @@ class TestRounds:
         monkeypatch.setattr(Solved, "of", staticmethod(unsolved))
         with pytest.raises(rm.ProblemError, match="not solved on a new mesh of 2"):
             metric_start(first, 25)
-
-    @pytest.mark.slow
-    def test_error_of_example_61_falls_four_times(self) -> None:
-        problem = signorini(10)
-        start = metric_start(Solved.of(problem), count(problem))
-        assert abs(count(start.solved.problem) - 121) <= 0.02 * 121 + 1
-        assert energy_error(problem) / energy_error(start.solved.problem) > 4
-        assert min(start.energies) == start.solved.state.energy
