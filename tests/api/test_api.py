@@ -16,11 +16,9 @@ import rmesh_nlp as rm
 from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.io.records import to_json
 from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
 from rmesh_nlp.study.comparison import formulation_options
-from support.reporting import fixed_61
 
 PROBLEM = rm.EXAMPLES["6.2"](n=(2, 2))
 
@@ -67,11 +65,6 @@ def test_a_formulation_that_refuses_leaves_its_record() -> None:
     assert not found.solutions
     with pytest.raises(ValueError, match="no formulation succeeded"):
         found.best  # noqa: B018
-
-
-def test_records_of_a_folder_are_read(tmp_path: Path) -> None:
-    (tmp_path / "record.json").write_text(to_json(fixed_61()))
-    assert rm.read_records(tmp_path) == [fixed_61()]
 
 
 def test_pictures_are_on_axes_of_ones_own_and_have_pressure_stress_and_both_meshes(comparison):

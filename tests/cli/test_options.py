@@ -112,14 +112,8 @@ def test_a_name_with_dots_is_a_setting_of_settings_and_what_is_none_is_refused()
         ("check my.toml --order 3", "3"),
         ("solve 6.1 --quadrature 0", "quadrature must be 'auto', 'midpoint' or a degree from 1 to 50, got 0"),
         ("solve 6.1 --out ''", "--out needs the name of a folder"),
-        (
-            "solve 6.1 --set time_limit_s=9",
-            "time_limit_s = 9 is not an option of auto, did you mean 'limits'?",
-        ),
-        (
-            "compare 6.1 --set foo=1",
-            "foo = 1 is not an option of fixed, nested, joint, mpcc: choose from acc",
-        ),
+        ("solve 6.1 --set time_limit_s=9", "9 is not an option of auto, did you mean 'limits'?"),
+        ("compare 6.1 --set foo=1", "foo = 1 is not an option of fixed, nested, joint, mpcc: choose"),
         ("compare 6.1 --formulations mpcc:start", "NAME=VALUE"),
         ("compare 6.1 --formulations mpcc:speed=9", "speed = 9 is not an option of mpcc, did"),
         ("compare 6.1 --formulations mpcc:t0=x", "t0 must be positive and finite, got 'x'"),
@@ -142,10 +136,7 @@ def test_a_name_with_dots_is_a_setting_of_settings_and_what_is_none_is_refused()
         ("new file", "file: File exists"),
         ("solve 6.2 --n 4x2 --nodes 40", "--nodes 40 is for --remesh"),
         ("remesh problem.toml --out better.stl", "better.stl: expected a file .msh"),
-        (
-            "remesh problem.toml --out nowhere/a.msh",
-            "nowhere/a.msh: expected a file .msh in a folder that exists",
-        ),
+        ("remesh problem.toml --out nowhere/a.msh", "a file .msh in a folder that exists"),
         ("remesh problem.toml --nodes 2", "--nodes"),
     ],
 )

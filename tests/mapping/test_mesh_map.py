@@ -289,10 +289,7 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: rm.Motion, change: dict, 
         (lambda: rm.Motion(0.1, min_area_fraction=0.0), "area_fraction must be positive and finite, got 0.0"),
         (lambda: rm.Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
         (lambda: rm.Motion(0.1, min_angle=-1.0), "at least 0"),
-        (
-            lambda: rm.Motion(0.1, pinned=(1.5,)),
-            "pinned must be names of boundaries or node numbers, got 1.5",
-        ),
+        (lambda: rm.Motion(0.1, pinned=(1.5,)), "pinned must be names .* or node numbers, got 1.5"),
         (lambda: rm.Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
         (lambda: rm.Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
     ],
@@ -300,13 +297,6 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: rm.Motion, change: dict, 
 def test_bad_motions_are_named(make: Callable[[], rm.Motion], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_motion_as_plain_values() -> None:
-    deltas = [rm.Motion(d).delta_record() for d in (0.1, (0.1, 0.2), rm.Relative(0.3), None)]
-    assert deltas == [[0.1, 0.1], [0.1, 0.2], {"relative": 0.3}, None]
-    motion = rm.Motion(None, pinned=("a", 1), slides=2, free="b", tied=((3, 4),))
-    assert motion.numbers == (1, 2, 3, 4)
 
 
 @pytest.mark.slow

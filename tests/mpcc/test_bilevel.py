@@ -166,6 +166,10 @@ def saddle(f, at, g=(), **bounds):
         # curvature -6e-12 at points of 1e-12
         (saddle(lambda y: y[0] ** 3 + y[1] ** 3, [-1e-12, -1e-12]), "undecided", 0, 0),
         (saddle(lambda y: y[0], [0, 0]), "not stationary", 0, 0),
+        # multipliers have signs and are complementary
+        (saddle(lambda y: y[0] + y[1] ** 2, [0, 0, 1, 0], lbx=0), "global minimum", 2, 2),
+        (saddle(lambda y: y[0], [0.5, 0, 1], lbx=[0, -INF]), "not stationary", 0, 0),
+        (saddle(lambda y: -y[0], [0, 0, -1], lbx=[0, -INF]), "not stationary", 0, 0),
         # convex, but not its constraint, which is not active
         (saddle(ca.sumsqr, [0, 0, 0], [lambda y: y[0] * y[1]], lbg=-5), "local minimum", 2, 2),
         # an equality without a multiplier leaves no direction along y_2
@@ -197,14 +201,6 @@ def test_second_order_conditions(check, verdict, low, high):
     assert found.verdict == verdict
     assert (found.curvature_low, found.curvature_high) == pytest.approx((low, high), abs=1e-9)
     assert verdict in str(found)
-
-
-def test_verdict_needs_multipliers_with_signs_and_complementary():
-    assert saddle(lambda y: y[0] + y[1] ** 2, [0, 0, 1, 0], lbx=0)().verdict == "global minimum"
-    assert (
-        saddle(lambda y: y[0], [0.5, 0, 1], lbx=[0, -INF])().verdict == "not stationary"
-    )  # not complementary
-    assert saddle(lambda y: -y[0], [0, 0, -1], lbx=[0, -INF])().verdict == "not stationary"
 
 
 @pytest.mark.parametrize("name", ["mitsos-barton-3.12", "mitsos-barton-3.13", "mitsos-barton-3.17"])

@@ -55,6 +55,9 @@ def failing_below(status, t):
         (settled(0.9995), {}, TENTHS[:3], None),
         (settled(0.998), {}, TENTHS, None),
         (settled(), {"weight": 100.0}, TENTHS[:3], None),
+        # Newton steps follow at once where the pairs cost nothing
+        (settled(z=(2.0, 0.5), cost=0.9e-6), {}, [1.0], None),
+        (settled(z=(2.0, 0.5), cost=1.1e-6), {}, TENTHS[:3], None),
         # a step that fails twice is the last; the finish begins at the one before
         (failing_below(S.STALLED, 9), {}, [1.0], S.STALLED),
         (failing_below(S.ITERATION_LIMIT, 1), {}, [1.0, 0.1, 0.1], S.ITERATION_LIMIT),
@@ -71,13 +74,6 @@ def test_path_goes_down_and_ends(answers, options, ts, failure):
     if "exact" not in options:
         assert path.finish.solved
         assert path.finish.f == pytest.approx(options.get("weight", 1.0))
-
-
-@pytest.mark.parametrize(("cost", "ts"), [(0.9e-6, [1.0]), (1.1e-6, TENTHS[:3])])
-def test_newton_steps_follow_at_once_where_pairs_cost_nothing(cost, ts):
-    run, path = followed(settled(z=(2.0, 0.5), cost=cost))
-    assert run.ts == pytest.approx(ts)
-    assert path.finish.f == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

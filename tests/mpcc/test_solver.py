@@ -261,10 +261,7 @@ def test_large_obstacle_control_is_exact_and_labelled():
         ({"options": {"t1": 0.1}}, "unknown setting 't1'"),
         ({"options": 5}, "options must be Options or a mapping"),
         ({"start": [1, 2]}, "start must be a former result"),
-        (
-            {"start": Duals(np.zeros(3), *np.zeros((3, 1)))},
-            "start has 3 multipliers lam_x, the problem needs 2",
-        ),
+        ({"start": Duals(np.zeros(3), *np.zeros((3, 1)))}, "3 multipliers lam_x, the problem needs 2"),
         ({"progress": 5}, "progress must be callable, got 5"),
         ({"on_iteration": 5}, "on_iteration must be callable, got 5"),
     ],

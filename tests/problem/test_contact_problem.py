@@ -377,10 +377,7 @@ PLATES = (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.
     ("parts", "message"),
     [
         (PUNCH, "does not press it on"),
-        (
-            PUNCH | {"tractions": (Traction("top", (0.0, 200.0)),)},
-            r"along \(0, 1\) .* 0, and the load does not",
-        ),
+        (PUNCH | {"tractions": (Traction("top", (0.0, 200.0)),)}, r"\(0, 1\) .* 0, and the load does not"),
         # of two blocks the load pulls one off
         (BLOCKS | {"tractions": TOPS[:2]}, r"along \(0, 1\) of the part with node 25, and the load does"),
         (BLOCKS | {"tractions": TOPS[2:]}, r"along \(0, 1\) of the part with node 0, and the load does"),

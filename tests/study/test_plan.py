@@ -122,10 +122,7 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "random = { count = 3, kinds = ['x'] }", "expected 'scalar', 'membrane'"),
         (JOINT + "random = { count = 0 }", "random.count = 0"),
         (JOINT + "examples = ['6.1']\nsizes = { '6.2' = [8] }", "sizes.6.2: '6.2' is not among the examples"),
-        (
-            JOINT + "random = { count = 10000 }\nseeds = [1, 2]\nrepeats = 10000",
-            "200000000 solves: a study has at most 1000000",
-        ),
+        (JOINT + "random = { count = 10000 }\nseeds = [1, 2]\nrepeats = 10000", "200000000 solves: a study"),
         (JOINT + "files = ['none.toml']", "none.toml"),
         ("[[", "is not valid TOML"),
         ("repeats = " + "9" * 5000, "is not valid TOML"),
