@@ -123,7 +123,6 @@ def stated_twice(page: str, folder: Path) -> tuple[ContactProblem, str, Path]:
     space: dict[str, Any] = {}
     exec(statement, space)
     named = re.match(r"problem(?:, \"(\w+)\")?\)", rest)
-    assert named is not None
     _, formulation, *_ = inspect.signature(rmesh_nlp.solve).parameters.values()
     (folder / "block.toml").write_text(toml_blocks(page)[0])
     return space["problem"], named[1] or formulation.default, folder / "block.toml"

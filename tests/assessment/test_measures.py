@@ -288,7 +288,6 @@ def test_the_interval_holds_from_one_refinement_and_from_two(order, monkeypatch)
     for few, closeness in ((400, 2), (0, 3)):
         monkeypatch.setattr(module, "FEW", few)
         found, _ = error_reduction(before, after, 7)
-        assert found is not None
         assert (found.source, found.contact_solves) == ("refinement", 7)
         for bounds, error in zip((found.error_initial, found.error), errors, strict=True):
             assert bounds[0] <= error <= bounds[1] < closeness * error
@@ -318,7 +317,6 @@ def test_an_exact_energy_gives_the_factor_itself() -> None:
     nodes[0, problem.mesh.interior_nodes()] += 0.02
     before, after = sorted([admissible(problem), admissible(problem, nodes)], key=lambda end: -end.energy)
     found, refined_values = error_reduction(before, after, 1)
-    assert found is not None
     assert refined_values is None  # nothing is refined
     errors = before.energy - problem.exact.energy, after.energy - problem.exact.energy
     assert found.factor == found.factor_upper == pytest.approx(errors[0] / errors[1])
@@ -340,7 +338,6 @@ def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(monke
 
 def test_a_certificate_bounds_the_factor_from_below() -> None:
     found, _ = error_reduction(*on_square(0.1), 7)
-    assert found is not None
     proved = by_certificate(found, 0.32, 0.08)
     assert (proved.factor, proved.factor_upper) == (pytest.approx(4.0), np.inf)
     assert (proved.error_initial, proved.error) == (pytest.approx((0.24, 0.32)), (0.0, 0.08))
@@ -377,7 +374,6 @@ def test_errors_are_bounded_by_what_refinements_gain(falls, few, low, high, monk
     if low is None:
         assert found is None
         return
-    assert found is not None
     assert found.error == pytest.approx((low, high))
     assert found.error_initial == pytest.approx((low + 0.5, high + 0.5))
     assert (found.factor, found.factor_upper) == pytest.approx((1 + 0.5 / high, 1 + 0.5 / low))

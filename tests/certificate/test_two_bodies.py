@@ -196,7 +196,6 @@ def test_force_on_a_circle_between_two_bodies_is_as_accurate_as_asked() -> None:
 def test_best_known_values_obey_guaranteed_bounds() -> None:
     solution = rm.solve(pressed(stacked(2)), "fixed", certify=True)
     certificate, found = solution.certificate, solution.details["estimates"]
-    assert certificate is not None
     assert certificate.lower <= found["energy"]["value"] <= certificate.upper
     for text, bounds in certificate.bounds.items():
         assert bounds.lower <= found[text]["value"] <= bounds.upper

@@ -311,7 +311,6 @@ def test_without_move_limits_validity_alone_limits() -> None:
     assert two.energy == pytest.approx(one.energy, rel=1e-4)
     assert one.assessment.final.min_area_ratio == pytest.approx(0.3, abs=1e-4)
     multipliers = one.multipliers
-    assert multipliers is not None
     assert np.all(multipliers.limit == 0)
     assert multipliers.area.max() > 0
     # an envelope theorem: the energy falls at the sum of the multipliers when the bound is lowered

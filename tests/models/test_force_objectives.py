@@ -134,7 +134,6 @@ def test_the_kkt_model_has_the_value_and_the_sums(name: str) -> None:
     point = ReducedObjective(outer.energy, wanted)(0.2 * np.random.default_rng(6).uniform(-1, 1, outer.n))
     x = program.point(point)
     derivatives = program.mpcc.derivatives
-    assert derivatives is not None
     assert 3 * Evaluator(derivatives.grad_f)(x, [])[0][0] == pytest.approx(point.value, rel=1e-9)
     rows = Evaluator(derivatives.jac_g)(x, [])[0][: program.n_equations]
     np.testing.assert_allclose(rows, 0, atol=1e-9)

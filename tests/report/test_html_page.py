@@ -48,7 +48,6 @@ def test_page_loads_nothing_and_has_all_parts_and_the_meshes_of_the_solutions(fo
         assert f'<section id="{section}">' in text
     assert text.count('<svg class="chart"') == 2
     match = re.search(r'id="meshes-json">(.*?)</script>', text, re.S)
-    assert match is not None
     shown = json.loads(match[1])
     names = ["6.1, n = 3, joint", "6.1, n = 3, nested", "6.1, n = 2, order 2, joint"]
     assert [one["name"] for one in shown] == names  # what moved

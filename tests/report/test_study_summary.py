@@ -174,7 +174,6 @@ def test_costs_are_in_the_median_unit_and_scaled_to_the_median_time(tmp_path: Pa
 def test_curve_has_costs_of_at_least_one_contact_solve_and_the_first_of_each_level(tmp_path: Path) -> None:
     assert curve(Result(fixed_61(), tmp_path, tmp_path / "no")) is None
     found = curve(result(tmp_path, "joint", -1.5, [(0.001, START, 1.0), *GOOD]))
-    assert found is not None
     assert found["cost"].tolist() == pytest.approx([1, 10, 20, 30, 50])
     assert found["value"].iloc[-1] == -1.0
     assert found["feasible"].tolist() == [True, True, False, True, True]

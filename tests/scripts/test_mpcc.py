@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import benchmark_mpcc as benchmark
 from check_mpcc_labels import main, verdict
-from isolated import Failed, isolated
+from isolated import isolated
 from mpcc_library.applications import APPLICATIONS
 from mpcc_library.families import FAMILIES
 from mpcc_library.labels import Active, Point, descends_by_search, label_by_search, regular
@@ -74,7 +74,6 @@ def test_a_solver_that_dies_is_a_row():
         (lambda: time.sleep(60), "stopped after 0.2 s"),
     ):
         found = isolated(work, 0.2 if "stopped" in words else 20.0)
-        assert isinstance(found, Failed)
         assert found.why == words
     assert isolated(lambda: 7, 20.0) == 7
 

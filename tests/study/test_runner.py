@@ -46,7 +46,6 @@ def test_fields_survive_the_file_and_a_failure_removes_them(one, tmp_path):
 def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     """It starts at one, that of the mesh as given, and ends at that of the mesh of the solution."""
     done = perform(planned(rm.EXAMPLES["6.3"]((4, 2)), formulation))
-    assert done.solution is not None
     places = Results(tmp_path).result(done.row)
     done.save(places)
     steps = [*places.steps()["stationarity"]]

@@ -90,7 +90,6 @@ class ScriptedRun(Run):
         return [call.t for call in self.calls]
 
     def relaxed(self, z, t, warm=None, *, last=False, **how):  # type: ignore[no-untyped-def]
-        assert self.relaxations is not None
         self.calls.append(Call(z, t, warm, last))
         answer = self.relaxations(self.calls[-1])
         measured = {"objective": answer.objective, "constraint_violation": 0.0, "complementarity": 0.0}
