@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp.errors import BadInputError
+import rmesh_nlp as rm
 from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
@@ -50,11 +50,11 @@ def test_a_file_is_compared_by_its_own_objective(file):
     # the name of an example does not lend it the reference solution of that example
     Path(file).write_text('name = "6.2"\n' + VALID.replace('name = "block"\n', ""))
     options = {"objective": ["energy", "error-l2"]}
-    with pytest.raises(BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
+    with pytest.raises(rm.BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
         plan_comparison([file], ["nested"], options=options)
     assert all(one.built.exact for one in plan_comparison(["6.2"], ["fixed"], n=(2, 2), options=options))
     Path(file).write_text(VALID + 'objective = "nonsense"\n')
-    with pytest.raises(BadInputError, match=r"own\.toml: solve\.objective = .nonsense."):
+    with pytest.raises(rm.BadInputError, match=r"own\.toml: solve\.objective = .nonsense."):
         plan_comparison([file], ["nested"])
 
 
@@ -149,7 +149,7 @@ def test_a_row_is_on_the_disk_when_it_is_yielded_and_a_failure_is_one(tmp_path, 
     assert set(REQUIRED) <= set(bad)
     assert bad["delta"] == good["delta"]
     assert good["success"]
-    assert [result.record for result in read_results(tmp_path)] == [bad, good]
+    assert rm.read_records(tmp_path) == [bad, good]
     names = {"records.jsonl", "solutions/6.1-3-fixed.vtu", "solutions/6.1-3-fixed.csv"}
     assert names <= set(Manifest(tmp_path).names())
 
@@ -157,7 +157,7 @@ def test_a_row_is_on_the_disk_when_it_is_yielded_and_a_failure_is_one(tmp_path, 
 def test_two_solves_of_one_key_or_what_is_in_the_way_are_found_before_anything_is_solved(plan, tmp_path):
     (tmp_path / "solutions").write_text("a file")
     for solves, said in (([plan[0], plan[0]], r"6\.2-4x2-fixed"), (plan, "solutions is a file")):
-        with pytest.raises(BadInputError, match=said):
+        with pytest.raises(rm.BadInputError, match=said):
             list(run(solves, Results(tmp_path), on_start=lambda _: pytest.fail("it began to solve")))
 
 
@@ -201,7 +201,7 @@ def test_more_repeats_or_a_certificate_are_a_reason_to_solve_again(plan, ran):
 def test_rows_of_another_problem_under_the_same_key_are_refused(plan, ran):
     changed(ran, plan[1].key, delta=[0.1, 0.1])
     said = r"cannot resume .* with delta .*\[0.1, 0.1\], not "
-    with pytest.raises(BadInputError, match=said):
+    with pytest.raises(rm.BadInputError, match=said):
         resumed(plan, ran)
     changed(ran, plan[1].key, success=False)  # a failure is not resumed, whatever it was
     assert resumed(plan, ran) == [plan[1].key]
