@@ -1,6 +1,7 @@
 """Bodies of revolution against closed forms: Lamé's cylinder and ring, Hertz's ball."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,7 @@ from rmesh_nlp.fem.stress import strain_energies, stresses
 from rmesh_nlp.problem import Law, Place
 from support.orders import ORDERS
 
+PARTS = Path(__file__).parents[2] / "docs" / "parts"
 YOUNG, POISSON, PRESSURE = 1000.0, 0.3, 10.0
 LAW = rm.Axisymmetric.from_young(YOUNG, POISSON)
 
@@ -187,27 +189,7 @@ def test_what_no_body_of_revolution_has_is_refused(change: dict[str, object], sa
 @pytest.mark.slow
 def test_ball_on_plane_is_that_of_hertz() -> None:
     """K. L. Johnson, Contact mechanics, eq. (4.22)-(4.24)."""
-    pytest.importorskip("gmsh")
-    radius, young, poisson = 6.1237, 1e8, 0.29
-    centre, low = (0.0, radius), radius - np.sqrt(radius**2 - 4)
-    loop = [
-        ((0, 0), 0.2, centre),
-        ((2, low), 0.2, centre),
-        ((radius, radius), 1.0, None),
-        (centre, 1.0, None),
-    ]
-    mesh = rm.shapes._drawn([loop], {"contact": [0], "arc": [1], "top": [2], "axis": [3]})
-    circle = rm.Circle(centre, radius)
-    problem = rm.ContactProblem(
-        mesh=mesh,
-        law=rm.Axisymmetric.from_young(young, poisson),
-        dirichlet=(),
-        obstacle=rm.Obstacle.line("contact", point=(0.0, 0.0), normal=(0.0, 1.0)),
-        tractions=(rm.Traction("top", (0.0, -5e5)),),
-        motion=rm.Motion(curves={"contact": circle, "arc": circle}),
-        order=2,
-    )
-    record = rm.solve(problem, "fixed").record()
+    record = rm.solve(rm.read_problem(PARTS / "ball.toml"), "fixed").record()
     assert record["resultant"] == pytest.approx(5.8904e7, rel=1e-3)
     assert record["peak_pressure"] == pytest.approx(1.53594e7, rel=0.015)
     assert record["contact_length"] == pytest.approx(1.35318, rel=0.02)
