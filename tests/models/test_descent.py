@@ -150,10 +150,15 @@ def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_soluti
     np.testing.assert_allclose(gradient, point.gradient, atol=1e-9 * np.max(np.abs(point.gradient)))
 
 
+def tight(room: float) -> rm.Outer:
+    """Elements of Example 6.2 that may lose this part of their area."""
+    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
+    return rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
+
+
 def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     room = 1e-5
-    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
+    outer = tight(room)
     residual, q = outer.residual, np.zeros(outer.n)
     rows = outer.relocation.validity.at(q)
     # a gradient that multipliers of the elements explain as a whole
@@ -161,15 +166,14 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     assert residual.at(q, np.asarray(pull)) == pytest.approx(room)
     assert residual.at(q, np.zeros(q.size)) == 0
     found = released(outer.energy, q, np.asarray(pull)).multipliers
-    assert found.area.shape == (given.mesh.t.shape[1],)
+    assert found.area.shape == (outer.problem.mesh.t.shape[1],)
     areas = found.area[outer.relocation.validity.elements]
     np.testing.assert_allclose(rows.jacobian.T @ areas, pull, atol=1e-9)
     assert not np.any(found.limit)
 
 
 def test_an_element_beyond_its_least_area_has_no_slack_left() -> None:
-    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
+    outer = tight(1e-6)
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     assert np.min(outer.relocation.validity.at(q).slack) < 0
     assert np.min(released(outer.energy, q, np.zeros(outer.n)).slack) == 0
@@ -217,8 +221,7 @@ def test_rows_of_an_element_are_its_area_and_then_its_angles() -> None:
 
 
 def test_a_gradient_that_is_no_number_has_no_multipliers_of_elements() -> None:
-    given = rm.EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = rm.Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
+    outer = tight(1e-6)
     rates = released(outer.energy, np.zeros(outer.n), np.full(outer.n, np.nan))
     assert rates.residual(1.0) == np.inf
     assert not np.any(rates.multipliers.area)

@@ -202,7 +202,7 @@ def test_words_of_options_become_numbers_and_names(text, stub, monkeypatch):
     monkeypatch.setenv(ampl.VARIABLE, text)
     given = []
     monkeypatch.setattr(
-        ampl, "solve", lambda *names, **more: given.append(more["options"]) or solve(*names, **more)
+        ampl, "solve", lambda *of, **more: given.append(more["options"]) or solve(*of, **more)
     )
     called(stub(), "time_limit_s=50", "warm_duals=yes", "ipopt.tol=1e-9")
     (options,) = given

@@ -56,11 +56,8 @@ def test_multipliers_are_those_of_nlpsol(kind, variables):
     # pairs: lbx 2 (0, -1), ubx 2 (1, 1), lbg 2 and ubg 2; free: y[4] = 0.5 and the row of 2
     assert (mpcc.n_pairs, mpcc.n_g, mpcc.n_x) == (8, 5 + 2, 2 + 5 + 10)
     nlp = {"x": y, "p": x, "f": lower["f"], "g": ca.vertcat(*lower["g"])}
-    options = {
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0},
-        "print_time": 0,
-    }
-    known = ca.nlpsol("known", "ipopt", nlp, options)
+    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0}
+    known = ca.nlpsol("known", "ipopt", nlp, {"ipopt": quiet, "print_time": 0})
     for at in ([0.3, 0.1], [1.5, -0.7], [-1, 0.8]):
         bounds = {key: lower[key] for key in ("lbx", "ubx", "lbg", "ubg")}
         expected = known(p=at, x0=0, **bounds)

@@ -22,9 +22,7 @@ def numbers(answer):
 def made(monkeypatch):
     """The solvers that are made: the problem and the options of each."""
     seen, honest = [], mpccsol.__globals__["MPCCSolver"]
-    monkeypatch.setitem(
-        mpccsol.__globals__, "MPCCSolver", lambda *given: seen.append(given) or honest(*given)
-    )
+    monkeypatch.setitem(mpccsol.__globals__, "MPCCSolver", lambda *of: seen.append(of) or honest(*of))
     return seen
 
 

@@ -15,9 +15,7 @@ from rmesh_nlp.problem import PiecewiseLinear
 
 def sloped_block(friction: float = 60.0, n: tuple[int, int] = (8, 3)) -> rm.ContactProblem:
     alpha = PiecewiseLinear((0.0, 2.0, 4.0), (0.0, 0.02, 0.1))
-    mesh = MeshTri.init_tensor(
-        *(np.linspace(0, end, count + 1) for end, count in zip((4, 1), n, strict=True))
-    )
+    mesh = MeshTri.init_tensor(np.linspace(0, 4, n[0] + 1), np.linspace(0, 1, n[1] + 1))
     p = mesh.p.copy()
     height = np.interp(p[0], alpha.x, alpha.y)
     p[1] = height + p[1] * (1 - height)
