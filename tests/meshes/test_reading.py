@@ -10,6 +10,7 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+from skfem import MeshTri
 
 import rmesh_nlp as rm
 from rmesh_nlp.io.export import write_mesh
@@ -21,24 +22,19 @@ SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0,
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
-@pytest.mark.parametrize("suffix", ["msh", "vtk"])
-def test_names_survive_a_file_of_scikit_fem(tmp_path: Path, suffix: str) -> None:
-    """It keeps them in data of elements, in files of gmsh as well."""
-    mesh = named(rm.shapes.rectangle(4, 3), subdomains={"west": lambda p: p[0] < 0.5})
-    mesh.save(tmp_path / f"a.{suffix}")
-    back = rm.read_mesh(tmp_path / f"a.{suffix}")
-    assert {name: part.size for name, part in back.boundaries.items()} == {
-        name: part.size for name, part in mesh.boundaries.items()
-    }
-    assert back.subdomains["west"].size == mesh.subdomains["west"].size
-
-
-@pytest.mark.parametrize("suffix", ["msh", "vtu", "vtk"])
-def test_names_survive_a_file(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(
+    ("write", "suffix"),  # scikit-fem keeps names in data of elements, in files of gmsh as well
+    [
+        *((write_mesh, suffix) for suffix in ("msh", "vtu", "vtk")),
+        (MeshTri.save, "msh"),
+        (MeshTri.save, "vtk"),
+    ],
+)
+def test_names_survive_a_file(tmp_path: Path, write: Any, suffix: str) -> None:
     halves = {"west": lambda p: p[0] < 0.5, "east": lambda p: p[0] > 0.5}
     mesh = named(rm.shapes.rectangle(4, 3), {"part": lambda p: (p[1] == 1) & (p[0] > 0.5)}, halves)
     path = tmp_path / f"a.{suffix}"
-    write_mesh(mesh, path)
+    write(mesh, path)
     with warnings.catch_warnings():
         warnings.simplefilter("error", MeshRepairWarning)
         back = rm.read_mesh(path)
@@ -160,16 +156,13 @@ def test_joint_beats_the_published_energy_of_a_stretched_plate_with_valid_elemen
 
 def test_a_set_of_several_blocks_is_read_whole(tmp_path) -> None:
     """gmsh writes a block for each curve to .inp, and a set for the group of them."""
-    nodes = "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 1, 1, 0\n4, 0, 1, 0\n"
     edges = "".join(f"*ELEMENT, type=T3D2, ELSET=Line{k}\n{k}, {k}, {k + 1}\n" for k in (1, 2, 3))
     faces = "".join(
         f"*ELEMENT, type=CPS3, ELSET=Surface{k}\n{k}, {corners}\n"
         for k, corners in ((4, "1, 2, 3"), (5, "1, 3, 4"))
     )
     path = tmp_path / "a.inp"
-    path.write_text(
-        f"{nodes}{edges}{faces}*ELSET, ELSET=held\n1, 3\n*ELSET, ELSET=body\n4, 5\n", encoding="utf-8"
-    )
+    path.write_text(f"{CORNERS}{edges}{faces}*ELSET, ELSET=held\n1, 3\n*ELSET, ELSET=body\n4, 5\n")
     mesh = rm.read_mesh(path)
     assert mesh.facets[:, mesh.boundaries["held"]].T.tolist() == [[0, 1], [2, 3]]
     assert mesh.subdomains["body"].tolist() == [0, 1]
@@ -178,11 +171,7 @@ def test_a_set_of_several_blocks_is_read_whole(tmp_path) -> None:
 def test_a_set_of_nodes_is_the_boundary_of_the_outer_edges_between_them(tmp_path) -> None:
     """The diagonal from node 1 to node 3 is inside; one node makes no edge."""
     path = tmp_path / "a.inp"
-    path.write_text(
-        "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 1, 1, 0\n4, 0, 1, 0\n*ELEMENT, TYPE=CPS3, ELSET=BODY\n"
-        "1, 1, 2, 3\n2, 1, 3, 4\n*NSET, NSET=CORNER\n1, 2, 3\n*NSET, NSET=ONE\n4\n",
-        encoding="utf-8",
-    )
+    path.write_text(f"{INP}*NSET, NSET=CORNER\n1, 2, 3\n*NSET, NSET=ONE\n4\n")
     mesh = rm.read_mesh(path)
     assert {*mesh.boundaries} == {"CORNER"}
     assert sorted(mesh.facets[:, mesh.boundaries["CORNER"]].T.tolist()) == [[0, 1], [1, 2]]
