@@ -43,6 +43,9 @@ Mesh generators write nodes with 1e-10 or better; a wrong radius is off by more.
 FLAT = 2e-4
 """Largest distance from its line of a node of a straight piece, in units of the length of the piece."""
 
+BENT = 1e-2
+"""The same of a piece that may be meant straight: few digits may be exact, a square of four cells has one."""
+
 
 def onto_lines(mesh: MeshTri) -> MeshTri:
     """The mesh with nodes that are on straight lines up to rounding exactly on these; a warning says so.
@@ -69,7 +72,7 @@ def onto_lines(mesh: MeshTri) -> MeshTri:
     a, b = mesh.p[:, node[count == 1]].reshape(2, -1, 2).transpose(2, 0, 1)[..., piece]
     off, length = _distances(mesh.p[:, node], a, b), np.linalg.norm(b - a, axis=0)
     bent, curved = (
-        np.bincount(piece, off > most)[piece] > 0 for most in (np.minimum(close, FLAT * length), close)
+        np.bincount(piece, off > np.minimum(close, most * length))[piece] > 0 for most in (FLAT, BENT)
     )
     if np.any(doubtful := bent & ~curved & (off > exact)):
         said = f"left {doubtful.sum()} nodes up to {np.max(off[doubtful]):.2g} off straight lines, which "
