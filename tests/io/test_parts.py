@@ -56,9 +56,7 @@ def test_new_mesh_of_two_bodies_is_better_than_the_part_has(name, boundary, forc
     made = metric_start(given, problem.mesh.p.shape[1]).solved
     space, nodes = made.solver.discretisation.space, made.problem.mesh.p
     found = contact_results(space, nodes, made.solver.system(nodes), made.state)[boundary].normal_force
-    assert found == pytest.approx(
-        force, rel=3e-3
-    )  # the mesh of the laminate depends on rounding: 7.720 or 7.730
+    assert found == pytest.approx(force, rel=3e-3)  # the laminate's mesh depends on rounding: 7.720 or 7.730
     assert made.state.energy - energy < 0.7 * (given.state.energy - energy)
 
 

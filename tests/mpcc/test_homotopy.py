@@ -21,10 +21,8 @@ def followed(answers, **options):
 
 def restless(call, product=None):
     """Sides that change from step to step, products that follow t."""
-    even = round(np.log10(call.t)) % 2 == 0
-    return Answer(
-        (1.0, 0.5) if even else (0.5, 1.0), product=call.t if product is None else product, objective=-call.t
-    )
+    z = (1.0, 0.5) if round(np.log10(call.t)) % 2 == 0 else (0.5, 1.0)
+    return Answer(z, product=call.t if product is None else product, objective=-call.t)
 
 
 def settled(objective=1.0, z=(1.0, 0.5), cost=1e-3):

@@ -204,9 +204,8 @@ def test_multipliers_given_back_prove_the_label(mpcc, label):
     gradient, jacobian, values = (part.full() for part in ca.Function("F", [mpcc.x], parts)(result.x))
     assert np.concatenate([result.g, result.G, result.H]) == pytest.approx(values.ravel(), abs=1e-12)
     lam = np.concatenate([result.lam_g, result.lam_G, result.lam_H])
-    assert np.max(np.abs(gradient.ravel() + jacobian.T @ lam + result.lam_x)) < 1e-5 * min(
-        1, np.max(abs(gradient))
-    )
+    slope = np.abs(gradient.ravel() + jacobian.T @ lam + result.lam_x)
+    assert np.max(slope) < 1e-5 * min(1, np.max(abs(gradient)))
     for lam, member in ((result.lam_G, result.G), (result.lam_H, result.H)):
         assert label != "S" or np.all(lam[result.biactive] <= 1e-6)
         assert np.max(np.abs(lam[member > 1e-4]), initial=0.0) < 1e-6

@@ -263,9 +263,8 @@ def test_flat_foundation_stays_flat_and_is_touched(rise, factor, order, tmp_path
 def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, is_far: bool) -> None:
     problem = replace(pressed(0.0).problem, obstacle=rm.Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
     none = np.zeros(problem.mesh.p.shape[1])
-    block = DrawnBody(
-        "", problem.mesh.t, state_of(problem, problem.mesh.p, np.stack([none, none]), none, none)
-    )
+    state = state_of(problem, problem.mesh.p, np.stack([none, none]), none, none)
+    block = DrawnBody("", problem.mesh.t, state)
     (one,) = block.contacts
     assert (one.name, block.near) == ("bottom", [] if is_far else [one])
     assert one.distance == pytest.approx(below)

@@ -140,9 +140,8 @@ def test_relocation_under_coulomb_friction_lowers_the_error(tmp_path: Path) -> N
         assert end.success
         assert end.record()["b_stationary"] or end.status.value != "converged"
         assert end.record()["objective_value"] < 0.8 * errors[0][0]
-    assert (
-        sum(end.status.value == "converged" for end in ends) >= 3
-    )  # mpcc runs into a limit from one of its two starts
+    # mpcc runs into a limit from one of its two starts
+    assert sum(end.status.value == "converged" for end in ends) >= 3
     gains = [1 - after / before for before, after in errors]
     assert gains[-1] > 0.5 * gains[0]
     assert errors[0][0] / errors[-1][0] > 11  # linear triangles on meshes four times as fine: 16 in the limit

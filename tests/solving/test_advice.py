@@ -24,9 +24,8 @@ from rmesh_nlp.solving.refinement import attained
 def parabola(n: int, **changes: Any) -> ContactProblem:
     """``u = x^2 / 2`` on the unit square, given on its sides ``x = 0`` and ``x = 1``."""
     given = Dirichlet("left", (0.0,)), Dirichlet("right", (0.5,))
-    return replace(
-        ContactProblem(rectangle(n, n), Laplace(-1.0), given, motion=Motion(None), name="parabola"), **changes
-    )
+    problem = ContactProblem(rectangle(n, n), Laplace(-1.0), given, motion=Motion(None), name="parabola")
+    return replace(problem, **changes)
 
 
 @pytest.mark.slow

@@ -117,9 +117,7 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
     assert wanted[-1] == solution.objective == "energy"
     assert solution.trace.iterations == steps[-1].iteration == 1 + 2 + 3
     spent = sum(outer.energy.contact_solves for outer, _ in script.begun)
-    assert (
-        solution.trace.work.contact_solves == spent + 2 == 8
-    )  # two for the estimate that weights are relative to
+    assert solution.trace.work.contact_solves == spent + 2 == 8  # two for the estimate of what can be gained
 
 
 def pressed(*_: Any) -> Any:

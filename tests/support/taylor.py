@@ -18,9 +18,7 @@ def taylor_order(function: Callable[[Array], Any], q: Array, d: Array, step: flo
     return float(np.log2(one / two))
 
 
-def difference_order(
-    gradient: Callable[[Array], Array], product: Array, q: Array, d: Array, step: float = 1e-2
-) -> float:
+def difference_order(gradient: Callable, product: Array, q: Array, d: Array, step: float = 1e-2) -> float:
     """Order at which central differences of a gradient converge to ``product``: 2 if that is ``F'' d``."""
 
     def error(h: float) -> float:
