@@ -2,7 +2,6 @@
 
 import math
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -70,7 +69,7 @@ def test_tables_for_people() -> None:
 @pytest.mark.parametrize(
     ("value", "text"), [(1 / 3, "0.333333"), (None, "free"), (Expression("x*y"), "x*y"), (abs, "f(x, y)")]
 )
-def test_coefficients_in_words(value: Any, text: str) -> None:
+def test_coefficients_in_words(value, text):
     assert display.describe(value) == text
 
 

@@ -25,7 +25,6 @@ from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem.coefficients import PositionFunction
 from rmesh_nlp.solving.certify import certify, with_upper
 from support.certificates import distorted, guess_on, of_values, proved, signorini
 from support.formulations import fixed, joint
@@ -250,7 +249,7 @@ def test_what_two_rules_disagree_by_is_between_the_bounds(problem, monkeypatch):
 
 
 @pytest.mark.parametrize("hidden", HIDDEN[:6:2])
-def test_what_no_rule_sees_is_found_or_leaves_no_guarantee(hidden: PositionFunction) -> None:
+def test_what_no_rule_sees_is_found_or_leaves_no_guarantee(hidden):
     """Least energies of a membrane under hidden loads; the least one is that on a mesh with nodes there."""
     ends = np.r_[np.linspace(0, 1.5, 4), 1.99 - np.geomspace(0.1, 1e-5, 5), 1.99, 1.9905, 1.9995, 2]
     mesh, fine = rectangle(4, 2, x=(0, 2)), rectangle(ends.size - 1, 2)

@@ -3,7 +3,6 @@
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
@@ -156,7 +155,7 @@ def test_a_folder_without_permission(rmesh) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("study", [{}, {"variant": "joint", "family": "slabs"}])
-def test_the_unit_of_cost_is_that_of_the_problem_in_all_outputs(rmesh, study: dict[str, Any]) -> None:
+def test_the_unit_of_cost_is_that_of_the_problem_in_all_outputs(rmesh, study):
     """Solves of 0.08 s from two starts beside contact solves of 2 and 6 ms: 20 of the median."""
     times = {1: 0.002, 2: 0.006}
     rows = [joint_62(key=f"{s}", seed=s, contact_time_s=time, **study) for s, time in times.items()]

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.mpcc import Options
 from rmesh_nlp.optimize.newton_step import NewtonSettings
-from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.formulation import KEYWORDS, options
 from rmesh_nlp.solving.parts import Step
 from support.formulations import auto, fixed, joint, mpcc, nested
@@ -32,7 +30,7 @@ UNLIMITED = replace(SMALL, motion=replace(SMALL.motion, delta=None))
 
 
 @pytest.mark.parametrize("formulation", [*FORMULATIONS, auto])
-def test_every_formulation_has_the_common_keywords(formulation: Any) -> None:
+def test_every_formulation_has_the_common_keywords(formulation):
     taken = {"audit", "objective"} if formulation is fixed else {*KEYWORDS}
     assert options(formulation.name) & {*KEYWORDS, "sede"} == taken
 
@@ -45,7 +43,7 @@ WITH_STEPS = pytest.mark.parametrize(
 
 
 @WITH_STEPS
-def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any) -> None:
+def test_a_limit_of_iterations_holds_and_is_said(formulation, problem):
     steps: list[Step] = []
     solution = formulation.solve(problem, limits={"iterations": 2}, tolerance=1e-5, on_step=steps.append)
     assert solution.status is rm.Status.ITERATION_LIMIT
@@ -58,7 +56,7 @@ def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any)
 
 
 @WITH_STEPS
-def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, problem: Any) -> None:
+def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation, problem):
     late = formulation.solve(problem, limits={"seconds": 1e-6})
     assert (late.status, late.valid, late.success) == (rm.Status.TIME_LIMIT, True, True)
     assert late.energy <= late.energy_initial + 1e-9
@@ -76,7 +74,7 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
 
 
 @WITH_STEPS
-def test_an_error_of_on_step_reaches_the_caller(formulation: Any, problem: Any) -> None:
+def test_an_error_of_on_step_reaches_the_caller(formulation, problem):
     """CasADi takes one in its iteration callback for a failed evaluation."""
 
     class OwnError(Exception):
@@ -113,14 +111,14 @@ def test_an_error_of_on_step_reaches_the_caller(formulation: Any, problem: Any) 
         ("speed", False, "speed = False is not an option of joint"),
     ],
 )  # fmt: skip
-def test_what_makes_no_sense_is_refused(keyword: str, bad: Any, message: str) -> None:
+def test_what_makes_no_sense_is_refused(keyword, bad, message):
     with pytest.raises(rm.BadInputError, match=message):
         joint.solve(SMALL, **{keyword: bad})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", [nested, joint, mpcc])
-def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
+def test_starts_are_positions_names_and_solutions(formulation):
     end = solved(formulation.name, "6.2", (4, 2))
     starts = [(np.asarray(end.mesh.p), "positions"), (end, f"solution of {end.formulation}")]
     for start, name in (*starts, ("fixed", "fixed"), ("given", "given")):
@@ -153,7 +151,7 @@ def test_nothing_to_move_is_no_crash() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_one_contact_node_and_no_load_are_solved(formulation: Any) -> None:
+def test_one_contact_node_and_no_load_are_solved(formulation):
     assert np.isfinite(formulation.solve(rm.EXAMPLES["6.1"](2)).energy)
     unloaded = formulation.solve(replace(SMALL, tractions=()))
     assert (unloaded.status, unloaded.success) == (rm.Status.CONVERGED, True)
@@ -165,14 +163,14 @@ KINDS = (NewtonSettings, *FORMS, NestedSettings, Options, rm.Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_field_is_documented(kind: type[Settings]) -> None:
+def test_every_field_is_documented(kind):
     documented = " ".join(re.findall(r"^ *([\w, ]+) : ", kind.__doc__ or "", re.M)).replace(",", " ").split()
     known = {field.name for field in fields(kind)}
     assert documented == [name for name in vars(kind).get("__annotations__", {}) if name in known]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_number_is_checked(kind: Any) -> None:
+def test_every_number_is_checked(kind):
     usual = kind(Fixed()) if kind in WRAPPERS else kind()
     for one in fields(kind):
         default = getattr(usual, one.name)
@@ -196,7 +194,7 @@ def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
         *((Cascade, {"schedule": bad}) for bad in ((0.0,), (1.0, -1.0), "x")),
     ],
 )
-def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:
+def test_what_is_no_number_is_checked_too(kind, given):
     with pytest.raises(rm.BadInputError, match=next(iter(given))):
         kind.of(given)
 
@@ -216,7 +214,7 @@ def test_a_change_keeps_what_was_chosen_before() -> None:
         ({"linear_solver": "pardiso"}, "refuses linear_solver = 'pardiso' here"),
     ],
 )
-def test_a_wrong_option_of_ipopt_is_named(option: dict[str, Any], message: str, capfd: Any) -> None:
+def test_a_wrong_option_of_ipopt_is_named(option, message, capfd):
     with pytest.raises(rm.BadInputError, match="ipopt must be options of Ipopt, which") as caught:
         Joint(ipopt=option)
     assert str(caught.value).endswith(message)

@@ -1,8 +1,6 @@
 """What the formulations reach on the paper's examples, at order 2, without move limits; that they agree."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -165,7 +163,7 @@ def _sliding(n: int) -> ContactProblem:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [_signorini, pytest.param(_sliding, marks=pytest.mark.slow)])
-def test_the_energy_is_never_below_the_exact_one(make: Callable[[int], ContactProblem]) -> None:
+def test_the_energy_is_never_below_the_exact_one(make):
     # with gaps at vertices and middles of edges alone that of Example 6.1 is 0.0035 below
     problem = replace(make(2), order=2)
     solutions = [fixed.solve(problem), joint.solve(problem)]
@@ -200,7 +198,7 @@ SLOW = pytest.mark.slow
     ("formulation", "options"),
     [(joint, {}), pytest.param(mpcc, {}, marks=SLOW), pytest.param(nested, {"iterations": 60}, marks=SLOW)],
 )
-def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str, Any]) -> None:
+def test_the_distortion_keeps_elements_valid(formulation, options):
     row = formulation.solve(unlimited(), regularisation=0.1, **options).record()
     assert row["min_area_ratio"] > 0
     assert row["gain_audited"] > 0.2 * row["gain_estimate"]

@@ -4,7 +4,6 @@ Frame invariance, contact law, validity, and energies that never rise.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +60,7 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
 
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEEDS, st.sampled_from([joint, nested]))
-def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, formulation: Any) -> None:
+def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed, formulation):
     # a rule of high degree and gaps along edges: with the degree 3 and the nodal gaps of these problems some
     # optima are those of the rule, or penetration between contact nodes
     problem = with_edge_gaps(replace(drawn(seed), quadrature=8))

@@ -1,7 +1,6 @@
 """Where nodes may move, what is pinned, slides, is free or tied, and which elements are valid."""
 
 import itertools
-from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -294,7 +293,7 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: rm.Motion, change: dict, 
         (lambda: rm.Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
     ],
 )
-def test_bad_motions_are_named(make: Callable[[], rm.Motion], message: str) -> None:
+def test_bad_motions_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 

@@ -1,7 +1,5 @@
 """Meshes from arrays and of simple shapes: repairs are said, errors, overlaps and cracks are named."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from skfem import MeshTri
@@ -98,7 +96,7 @@ def test_bad_subdomains_are_named(members: list[int], message: str) -> None:
         ),
     ],
 )
-def test_shapes_have_their_names_and_the_right_areas(make: Callable, area: float, names: str) -> None:
+def test_shapes_have_their_names_and_the_right_areas(make, area, names):
     try:
         import gmsh  # noqa: F401
     except (ImportError, OSError):  # its library needs libGLU
@@ -136,7 +134,7 @@ def test_shapes_have_their_names_and_the_right_areas(make: Callable, area: float
         (lambda: shapes.polygon([(0, 0), (1, 0), (1, 1), (0, 1)], 1e-9), "more than 1e"),
     ],
 )
-def test_bad_shapes_are_named(make: Callable, message: str) -> None:
+def test_bad_shapes_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 

@@ -1,6 +1,5 @@
 """Curves, nodes that slide along them, and triangles blended to arcs."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -183,7 +182,7 @@ TWO_LINES, TWO_LOOPS = [[0, 1, 4, 5], [1, 2, 5, 6]], [[0, 1, 2, 4, 5, 6], [1, 2,
         (lambda: spline_through(np.zeros((2, 8)), np.array([[0, 1, 1], [1, 2, 3]])), "without branches"),
     ],
 )
-def test_bad_curves_are_refused(make: Callable[[], Curve], message: str) -> None:
+def test_bad_curves_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 

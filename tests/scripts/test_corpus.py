@@ -1,6 +1,5 @@
 """What ``scripts/corpus.py`` reports of a version that is worse than its baseline."""
 
-from pathlib import Path
 from typing import cast
 
 import pytest
@@ -121,7 +120,7 @@ def test_the_baseline_can_be_read() -> None:
 
 
 @pytest.mark.slow
-def test_a_run_has_no_faults_against_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_has_no_faults_against_itself(tmp_path, capsys):
     file = tmp_path / "frozen.json.gz"
     only = ["--only", "6.1 4 weighted by", "--jobs", "1"]
     assert corpus.main([*only, "--freeze", str(file)]) == 0

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,7 +98,7 @@ def test_energies_are_extrapolated_and_errors_of_as_many_triangles_bounded(monke
 
 
 @pytest.mark.slow
-def test_bounds_of_a_force_are_measured_on_meshes_of_both_orders(tmp_path: Path) -> None:
+def test_bounds_of_a_force_are_measured_on_meshes_of_both_orders(tmp_path):
     body = tmp_path / "body.toml"
     body.write_text(
         'mesh = { shape = "rectangle", nx = 6, ny = 2, x = [0, 3] }\n'

@@ -1,7 +1,6 @@
 """The version of a tag stands in every file that states one."""
 
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +12,7 @@ def test_every_file_states_the_version_of_the_package() -> None:
     assert set_version.versions() == {key: [rm.__version__] for key in set_version.PLACES}
 
 
-def test_the_version_of_a_tag_is_written_into_each(tmp_path: Path) -> None:
+def test_the_version_of_a_tag_is_written_into_each(tmp_path):
     for name in set_version.PLACES:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(set_version.ROOT / name, tmp_path / name)
