@@ -162,7 +162,7 @@ def _sliding(n: int) -> ContactProblem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [_signorini, pytest.param(_sliding, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("make", [_signorini, _sliding])
 def test_the_energy_is_never_below_the_exact_one(make):
     # with gaps at vertices and middles of edges alone that of Example 6.1 is 0.0035 below
     problem = replace(make(2), order=2)
@@ -190,14 +190,8 @@ def unlimited() -> ContactProblem:
     return replace(rm.EXAMPLES["6.1"](n=4), motion=Motion(None), quadrature=4)
 
 
-SLOW = pytest.mark.slow
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("formulation", "options"),
-    [(joint, {}), pytest.param(mpcc, {}, marks=SLOW), pytest.param(nested, {"iterations": 60}, marks=SLOW)],
-)
+@pytest.mark.parametrize(("formulation", "options"), [(joint, {}), (mpcc, {}), (nested, {"iterations": 60})])
 def test_the_distortion_keeps_elements_valid(formulation, options):
     row = formulation.solve(unlimited(), regularisation=0.1, **options).record()
     assert row["min_area_ratio"] > 0

@@ -68,12 +68,7 @@ def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("formulation", "options"),
-    [
-        (joint, {}),
-        (nested, {"regularisation": (0.1, 0.01)}),
-        pytest.param(auto, {}, marks=pytest.mark.slow),
-        pytest.param(auto, {"remesh": True}, marks=pytest.mark.slow),
-    ],
+    [(joint, {}), (nested, {"regularisation": (0.1, 0.01)}), (auto, {}), (auto, {"remesh": True})],
     ids=["joint", "weights", "cascade", "metric start"],
 )
 def test_no_time_is_counted_twice_or_forgotten(formulation, options, monkeypatch) -> None:
