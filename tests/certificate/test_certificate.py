@@ -1,7 +1,5 @@
 """What a certificate says: bounds of the error that hold, and a guarantee only where both bounds have one."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache
@@ -12,6 +10,7 @@ import meshio
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess
@@ -19,9 +18,6 @@ from rmesh_nlp.cli.app import run
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.io.results import read_results
 from rmesh_nlp.io.vtu import read_vtu
-from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.figures import block_figures
@@ -29,10 +25,7 @@ from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import bounded, certified, certify
-from rmesh_nlp.solving.outcome import Outcome
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Certificate
-from rmesh_nlp.solving.solution import Solution
 from support.designs import BOW, E, block
 from support.formulations import fixed
 from support.problem_files import VALID
@@ -43,8 +36,8 @@ TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit squa
 
 
 @cache
-def membrane() -> Solution:
-    return fixed.solve(ContactProblem(rectangle(3, 3), Laplace(1.0), SIDES))
+def membrane() -> rm.Solution:
+    return fixed.solve(ContactProblem(rm.shapes.rectangle(3, 3), Laplace(1.0), SIDES))
 
 
 def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
@@ -59,7 +52,7 @@ def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
 def test_the_error_bound_is_one_of_the_computed_displacement_under_a_coarse_rule_too() -> None:
     """The admissible displacement, whose energy is the upper bound, is found by an accurate rule."""
     source = Laplace(lambda x, y: 10 * np.pi**2 * ca.sin(3 * np.pi * x) * ca.sin(np.pi * y))
-    problem = ContactProblem(rectangle(2, 2), source, SIDES, quadrature="midpoint")
+    problem = ContactProblem(rm.shapes.rectangle(2, 2), source, SIDES, quadrature="midpoint")
     solution, model = fixed.solve(problem), ContactSolver(problem.with_rule(25))
     u = solution.displacement.T.ravel()[model.displacement.index.T.ravel() >= 0]
     error = np.sqrt(2 * (model.system(problem.mesh.p).energy(u) + 10 * np.pi**2 / 8))
@@ -70,7 +63,7 @@ def test_the_error_bound_is_one_of_the_computed_displacement_under_a_coarse_rule
 def test_the_error_bound_counts_the_way_to_a_displacement_on_a_refined_mesh() -> None:
     """All nodes of the triangle under the hill are held at zero, and so is the computed displacement."""
     hill = Obstacle.interior(lambda x, y: 0.02 - ((x - 0.2) ** 2 + (y - 0.2) ** 2) / 2)
-    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill)
+    problem = ContactProblem(rm.shapes.rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill)
     solution = fixed.solve(problem)
     found, admissible = certify(solution, refinements=0), solution.assessment.final.continuous
     assert admissible.problem.mesh.nelements > problem.mesh.nelements
@@ -90,7 +83,7 @@ def relocated(
     solution = membrane()
     assessment, nodes = solution.assessment, solution.mesh.p * (1 + stretch)
     nodes[:, solution.mesh.interior_nodes()] += 0.01
-    state = replace(assessment.final.continuous.state, status=Status.INACCURATE)
+    state = replace(assessment.final.continuous.state, status=rm.Status.INACCURATE)
     continuous = replace(assessment.final.continuous, **{"state": state, **found})
     given = replace(assessment.given, continuous=continuous)
     final = replace(given, mesh=replace(solution.mesh, doflocs=nodes))
@@ -134,7 +127,7 @@ def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(monkeypatch: pyt
 
 @pytest.mark.parametrize("crest", [0.2, 1.2])
 def test_a_foundation_that_rises_through_a_held_edge_leaves_no_upper_bound(crest: float) -> None:
-    mesh = rectangle(2, 1, x=(0, 2)).with_boundaries({"part": lambda x: (x[1] == 0) & (x[0] < 1)})
+    mesh = rm.shapes.rectangle(2, 1, x=(0, 2)).with_boundaries({"part": lambda x: (x[1] == 0) & (x[0] < 1)})
     foundation = Obstacle.graph("bottom", lambda x, y: -1 + crest * ca.fmax(0, 1 - 9 * abs(x - 0.4)))
     law = PlaneStrain.from_young(100.0, 0.3, (0.0, -1.0))
     found = certify(fixed.solve(ContactProblem(mesh, law, (Dirichlet("part", (0.0, 0.0)),), foundation)))
@@ -169,7 +162,7 @@ def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch:
 def test_the_bound_falls_by_what_forces_and_given_displacements_may_be_wrong_by(wrong, monkeypatch) -> None:
     """Of u = x, whose energy is 1/2: reactions work 1 on the given displacements."""
     ends = Dirichlet("left", (0.0,)), Dirichlet("right", (1.0,))
-    problem, build = ContactProblem(rectangle(2, 2), Laplace(0.0), ends), bracketing.equilibrated
+    problem, build = ContactProblem(rm.shapes.rectangle(2, 2), Laplace(0.0), ends), bracketing.equilibrated
 
     def spoilt(*given: Any) -> EquilibratedField:
         field = build(*given)
@@ -191,8 +184,8 @@ def test_the_bound_falls_by_what_forces_and_given_displacements_may_be_wrong_by(
 @pytest.mark.slow
 def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
     problem = replace(block(E, BOW, n=(3, 1)), motion=Motion(0))
-    outer = Outer.of(problem, "area")
-    found = assess(outer, Outcome(outer, np.array([0.8, -0.5]), Status.CONVERGED))
+    outer = rm.Outer.of(problem, "area")
+    found = assess(outer, rm.Outcome(outer, np.array([0.8, -0.5]), rm.Status.CONVERGED))
     both = bounded(found, refinements=0)
     first, last = (
         certify(fixed.solve(replace(problem.at_design(design), constraints=())), refinements=0)
@@ -207,10 +200,10 @@ def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
 def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
     """Its displacement is of the body, and the bounds would be those of a polygon."""
     problem = ContactProblem(
-        plate_with_hole(5.0),
+        rm.shapes.plate_with_hole(5.0),
         Laplace(1.0),
         ("left",),
-        motion=Motion(None, curves={"hole": Circle((5.0, 5.0), 2.5)}),
+        motion=Motion(None, curves={"hole": rm.Circle((5.0, 5.0), 2.5)}),
     )
     assert certify(fixed.solve(problem)).guaranteed_lower
     found, remark = certified(fixed.solve(replace(problem, order=2)).assessment)

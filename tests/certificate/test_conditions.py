@@ -1,7 +1,5 @@
 """Data of edges and elements by hand: moments, doubts, remainders, constants of the oscillation term."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca
@@ -10,13 +8,12 @@ import pytest
 from scipy.special import jn_zeros
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.integrals import Loads, body_forces, integrals
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import Skeleton, same_domain, skeleton_of
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.coefficients import Coefficient
 from support.certificates import distorted
@@ -31,7 +28,7 @@ HIDDEN = lambda x, y: ca.if_else(ca.sin(9 * x) > 0.5, 1.0, 0.0)  # noqa: E731
 def plate(**changes) -> ContactProblem:
     """Four by two squares of side 1/2 over (0, 2) x (0, 1)."""
     settings = {
-        "mesh": rectangle(4, 2, x=(0, 2)),
+        "mesh": rm.shapes.rectangle(4, 2, x=(0, 2)),
         "law": PlaneStrain(3.0, 2.0, (0.0, lambda x, y: 6 * x * x)),
         "dirichlet": (Dirichlet("left", (0.0, lambda x, y: 0.1 * y)),),
         "obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.5 * x, friction=lambda x, y: 1 + x),
@@ -50,7 +47,7 @@ def on(problem: ContactProblem, nodes=None) -> Skeleton:
 
 
 def test_what_jumps_is_integrated_part_by_part() -> None:
-    square = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",))
+    square = ContactProblem(rm.shapes.rectangle(1, 1), Laplace(1.0), ("left",))
     bottom = on(square), square.mesh.boundaries["bottom"], 2
     wave = integrals(lambda x, y: ca.sin(14 * x), *bottom)
     assert np.sum(wave.moments) == pytest.approx((1 - np.cos(14)) / 14, rel=1e-9)
@@ -76,7 +73,7 @@ def test_what_is_undefined_between_points_of_the_check_is_named(changes, named: 
     """A function with 0/0 where only the certificate looks."""
     gap = lambda x, y: ca.if_else(ca.fabs(x - 0.2) < 0.02, ca.log(-1), 1.0)  # noqa: E731
     problem = plate(**changes(gap))
-    with pytest.raises(BadInputError, match=f"^{named}: the function is nan at"):
+    with pytest.raises(rm.BadInputError, match=f"^{named}: the function is nan at"):
         conditions_of(problem, on(problem))
 
 
@@ -215,7 +212,7 @@ def test_parts_of_the_boundary_may_not_slide_where_they_are_in_use(role: str, en
 
 def test_loads_count_all_components_and_displacements_elsewhere() -> None:
     def of(*load: Coefficient) -> Loads:
-        problem = ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0, load), "left")
+        problem = ContactProblem(rm.shapes.rectangle(2, 2), PlaneStrain(1.0, 1.0, load), "left")
         return body_forces(problem, skeleton_of(problem, problem.mesh.p))
 
     f, g = (lambda x, y: ca.sin(3 * x)), (lambda x, y: ca.cos(4 * y))

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from formulations import mpcc
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
-from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -22,12 +20,10 @@ from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.vtu import fields_of
 from rmesh_nlp.meshes import from_arrays, named
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import locally_refined
-from rmesh_nlp.solving.outer import Outer
 from support.bodies import STEEL, pressed, stacked
 from support.quality import sizes
 
@@ -99,7 +95,7 @@ def test_nodes_that_do_not_coincide_are_refused_with_their_distance() -> None:
     p = np.array(mesh.p)
     p[1, p.shape[1] // 2 :] += 0.01
     apart = MeshTri(p, mesh.t).with_boundaries(mesh.boundaries)
-    with pytest.raises(ProblemError, match=r"the largest distance is 0\.01"):
+    with pytest.raises(rm.ProblemError, match=r"the largest distance is 0\.01"):
         pressed(apart)
 
 
@@ -110,10 +106,10 @@ def test_sides_with_other_divisions_are_refused_with_the_distance() -> None:
     sides = {"low": a.facets[:, a.boundaries["top"]].T, "high": shift + b.facets[:, b.boundaries["bottom"]].T}
     arrays = np.hstack([a.p, b.p]).T, np.hstack([a.t, shift + b.t]).T, sides
     with pytest.raises(
-        BadInputError, match=r"'low' and 'high' do not coincide: the largest distance is 0\.2"
+        rm.BadInputError, match=r"'low' and 'high' do not coincide: the largest distance is 0\.2"
     ):
         from_arrays(*arrays, pairs=[("low", "high")])
-    with pytest.raises(BadInputError, match="hangs on the edge"):
+    with pytest.raises(rm.BadInputError, match="hangs on the edge"):
         from_arrays(*arrays, pairs=[("low", "other")])
 
 
@@ -151,7 +147,7 @@ def bent(order: int = 2, **laws: Any) -> rm.ContactProblem:
 @pytest.mark.parametrize("order", [1, 2])
 def test_derivatives_along_moves_of_both_nodes(kind: str, order: int) -> None:
     problem = bent(order, interference=lambda x, y: 1e-3 * x**2 * (2 - x), **FRICTION[kind])
-    outer = Outer.of(with_edge_gaps(problem) if kind == "tresca" else problem)
+    outer = rm.Outer.of(with_edge_gaps(problem) if kind == "tresca" else problem)
     rng = np.random.default_rng(2)
     q, d = 0.3 * rng.uniform(-1, 1, outer.n), 1e-5 * rng.uniform(-1, 1, outer.n)
     partner = outer.problem.partners[0]
@@ -290,7 +286,7 @@ def press_fit(order: int, n: int = 4) -> rm.ContactProblem:
     mesh = mesh.with_boundaries(facets | {"fit": fit}).with_subdomains({
         "hub": np.flatnonzero(inner), "ring": np.flatnonzero(~inner)
     })  # fmt: skip
-    curves = {name: Circle((0.0, 0.0), R) for name, R in (("bore", 10), ("fit", 20), ("outside", 30))}
+    curves = {name: rm.Circle((0.0, 0.0), R) for name, R in (("bore", 10), ("fit", 20), ("outside", 30))}
     steel = rm.PlaneStress.from_young(young=200e3, poisson=0.3)
     given = rm.Dirichlet("x", (None, 0.0)), rm.Dirichlet("y", (0.0, None))
     return rm.ContactProblem(
@@ -339,7 +335,7 @@ def disc_in_ring(level: int, order: int) -> rm.ContactProblem:
         rm.PlaneStrain.from_young(young=1e9, poisson=0.2),
         (rm.Dirichlet("x", (None, 0.0)), rm.Dirichlet("y", (0.0, None))),
         rm.Obstacle.interface("fit"),
-        rm.Motion(curves={"fit": Circle((0.0, 0.0), 0.6), "outside": Circle((0.0, 0.0), 1.0)}),
+        rm.Motion(curves={"fit": rm.Circle((0.0, 0.0), 0.6), "outside": rm.Circle((0.0, 0.0), 1.0)}),
         tractions=load,
         order=order,
     )
@@ -385,7 +381,7 @@ def test_crack_slips_as_in_a_large_plate() -> None:
     assert slip == pytest.approx(exact, rel=0.02)
 
 
-def test_files_have_pairs_and_interfaces(tmp_path: Path) -> None:
+def test_files_have_pairs_and_interfaces(tmp_path):
     rest = 'material = { law = "plane-strain", young = 1000, poisson = 0.3 }\n'
     write_mesh(stacked(), tmp_path / "two.msh")
     (tmp_path / "two.toml").write_text(
@@ -462,7 +458,7 @@ def test_new_mesh_keeps_pairs_matched(make: Any) -> None:
 def test_boundary_on_one_side_of_a_pair_is_refused_by_a_new_mesh() -> None:
     mesh = stacked()
     mesh = mesh.with_boundaries({"skin": mesh.boundaries["bottom-1"][:2]})
-    with pytest.raises(BadInputError, match=r"sides of \('bottom-1', 'top-0'\) for 'skin'"):
+    with pytest.raises(rm.BadInputError, match=r"sides of \('bottom-1', 'top-0'\) for 'skin'"):
         rm.solve(pressed(mesh), "joint", remesh=40)
 
 
@@ -510,5 +506,5 @@ def test_triangles_at_the_end_of_a_crack_are_refined_on_both_sides() -> None:
 
 
 def test_pair_takes_no_force() -> None:
-    with pytest.raises(BadInputError, match="no tool: load one of them"):
+    with pytest.raises(rm.BadInputError, match="no tool: load one of them"):
         rm.Obstacle("joint", other="joint", force=(0.0, -1.0))

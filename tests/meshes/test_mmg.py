@@ -1,7 +1,5 @@
 """Remeshing by Mmg: domain, names, corners and signals are kept."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -5,7 +5,6 @@ import io
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -134,7 +133,7 @@ def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
     assert f"\n\n{RANGES}" in details
 
 
-def test_latex_literally_and_all_tables_as_files(tmp_path: Path) -> None:
+def test_latex_literally_and_all_tables_as_files(tmp_path):
     text = latex(ROWS)
     assert LATEX_MAIN in text
     assert r"6.2, joint & $3.1\cdot 10^{-9}$ & $4.7\cdot 10^{-13}$" in text
@@ -176,7 +175,7 @@ def test_latex_continues_a_long_table_and_wraps_a_long_label() -> None:
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
 @pytest.mark.parametrize("options", ["", "twocolumn"])
 @pytest.mark.parametrize("rows", [ROWS, MANY, DESIGN_ROWS], ids=["few", "many", "designs"])
-def test_latex_compiles_without_overfull_boxes(rows, options, tmp_path: Path) -> None:
+def test_latex_compiles_without_overfull_boxes(rows, options, tmp_path):
     page = rf"\documentclass[{options}]{{article}}\usepackage{{booktabs}}\begin{{document}}"
     (tmp_path / "page.tex").write_text(f"{page}\n{latex(rows)}\n\\end{{document}}\n")
     subprocess.run(["pdflatex", "-halt-on-error", "page.tex"], cwd=tmp_path, check=True, stdout=-1)
@@ -192,7 +191,7 @@ CONTACT = {
 }  # fmt: skip
 
 
-def test_each_of_several_contact_boundaries_has_a_row(tmp_path: Path) -> None:
+def test_each_of_several_contact_boundaries_has_a_row(tmp_path):
     two, one = (
         joint_62(contact=CONTACT, resultant=4.0, peak_pressure=3.25),
         joint_62(n="24x12", contact={"lower": CONTACT["lower"]}),
