@@ -22,6 +22,7 @@ from rmesh_nlp.fem.cells import Cell, Straight
 from rmesh_nlp.fem.edge_gaps import directions, displaced, edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
+from rmesh_nlp.fem.pieces import piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Obstacle, at
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, once
@@ -41,9 +42,10 @@ def friction_energy(bound: Coefficient, edge: Cell) -> ca.Function:
     The integral of g times the sum of s_i and shape functions, with the slip magnitudes s_i = |u_t,i|: by
     convexity at least that of g |u_t|. With a constant bound and order 1 it is |e| g (s_1 + s_2) / 2, the
     trapezoidal rule of (5.9).
+    Where a bound jumps or kinks the rule is that of the pieces: a solver would never end at a sum that jumps.
     """
-    exact = isinstance(edge, Straight) and not callable(bound)
-    rule = edge.rule(edge.order if exact else FRICTION_DEGREE)
+    degree = FRICTION_DEGREE if callable(bound) else edge.order
+    rule = piecewise(edge, [bound], degree) if isinstance(edge, Straight) else edge.rule(FRICTION_DEGREE)
     return edge.function("friction_energy", edge.integral(lambda x, y, s, _: at(bound, x, y) * s, rule))
 
 

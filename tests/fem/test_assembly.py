@@ -119,7 +119,7 @@ def pulled(order: int) -> rm.ContactProblem:
         rm.shapes.rectangle(3, 2, x=(0, 2)),
         rm.PlaneStrain.from_young(1000.0, 0.3, SOURCES),
         ("left",),
-        rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0)),
+        rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0), lambda x, y: where(x < 1.51787, 3.0, 0.5)),
         rm.Motion(None),
         (rm.Traction("top", JUMPS),),
         order=order,
@@ -142,6 +142,10 @@ def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
     system = ContactSolver(moved).system(p)
     assert np.max(doubt) < 1e-12
     np.testing.assert_allclose(np.sort(system.load), np.sort(exact[~held]), atol=1e-11)
+    # shape functions times x at the nodes add up to x; that of the held node has none
+    moment = (3.0 * 1.51787**2 + 0.5 * (2**2 - 1.51787**2)) / 2
+    x = space.points(p)[0, space.contact_nodes]
+    assert system.slip_bound @ x == pytest.approx(moment, rel=1e-12)
 
 
 @pytest.mark.slow
