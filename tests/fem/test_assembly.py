@@ -119,7 +119,7 @@ def pulled(order: int) -> rm.ContactProblem:
         rm.shapes.rectangle(3, 2, x=(0, 2)),
         rm.PlaneStrain.from_young(1000.0, 0.3, SOURCES),
         ("left",),
-        rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0), lambda x, y: where(x < 1.51787, 3.0, 0.5)),
+        rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0), lambda x, y: rm.where(x < 1.51787, 3.0, 0.5)),
         rm.Motion(None),
         (rm.Traction("top", JUMPS),),
         order=order,
