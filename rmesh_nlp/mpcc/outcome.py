@@ -59,10 +59,9 @@ def leave_saddles(run: Run, paths: list[Path]) -> None:
         paths.append(Path(finish=lower))
 
 
-def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
+def end_of(run: Run, paths: Sequence[Path]) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
-    end = best(paths)
-    z, f, excess = run.nearest or (z0, np.nan, np.inf)
+    end, (z, f, excess) = best(paths), run.nearest
     ends = [path.finish for path in paths if path.finish is not None]
     points = [z, *(path.relaxed.x for path in paths if path.relaxed is not None), *(end.z for end in ends)]
     values = [run.measure(point) for point in points]

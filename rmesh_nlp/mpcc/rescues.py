@@ -33,25 +33,25 @@ _SAME = 2  # homotopies from the given start, the first ones
 _SPREADS = (-1.0, 1.5)  # exponents of ten of the distance of random starts, in the same units
 
 
-def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
+def rescue(run: Run, paths: list[Path]) -> None:
     """Add a path for each attempt to ``paths`` until one has ended, or the violation has a minimum."""
     mpcc, p, options = run.lifted.source, run.p[:-1], run.options
     if not any(path.ended for path in paths):
         paths.append(Path())
         run.rescues += 1
-        z, status = phase_one(run, z0 if run.nearest is None else run.nearest[0])
+        z, status = phase_one(run, run.nearest[0])
         run.is_infeasible = status is Status.INFEASIBLE
         if status is Status.CONVERGED:
             paths[-1].keep(finish(run, z, search=False))
         else:
             paths[-1].failure = status
-    moved = (run.lifted.start(mpcc.start(x, p), p) for x in moved_starts(mpcc, x0, options.seed))
+    moved = (run.lifted.start(mpcc.start(x, p), p) for x in moved_starts(mpcc, run.z0, options.seed))
     for k in range(options.moves):
         if any(path.ended for path in paths) or run.is_infeasible:
             return
         paths.append(Path())
         run.rescues += 1
-        z = z0 if k < _SAME else next(moved)
+        z = run.z0 if k < _SAME else next(moved)
         t0 = max(_SHARES[k % len(_SHARES)] * options.t0, options.t_final)
         follow(run, paths[-1], z, t0=t0)
 

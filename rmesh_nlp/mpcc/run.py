@@ -28,11 +28,13 @@ class Run:
 
     Attributes
     ----------
+    z0 : array
+        Start.
     p : array
         Parameters of the lifted problem: those of the source problem and the weight of the objective.
     steps : list of Stage
-    nearest : (z, f, excess) or None
-        The point with the smallest residuals that any NLP ended at; of exact ones the lowest.
+    nearest : (z, f, excess)
+        The point with the smallest residuals an NLP ended at, of exact ones the lowest; first the start.
     limit : Status or None
         The limit that ended it.
     is_infeasible : bool
@@ -46,18 +48,19 @@ class Run:
     def __init__(
         self,
         nlps: CompiledNLPs,
+        z0: Array,
         p: Array,
         weight: float = 1.0,
         watchers: Watchers = (None, None),
         budget: Budget | None = None,
     ) -> None:
         self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
-        self.p = np.append(p, weight)
+        self.z0, self.p = z0, np.append(p, weight)
         self.steps: list[Stage] = []
         self.watch, self.built = Budget(), nlps.build_seconds
         self.budget = budget or nlps.options.budget()
         self._before = self.budget.iterations
-        self.nearest: tuple[Array, float, float] | None = None
+        self.nearest = z0, np.nan, np.inf
         self.limit: Status | None = None
         self.is_infeasible, self.rescues, self.curvature = False, 0, "not tested"
         self._progress, self._on_iteration = watchers
@@ -137,8 +140,7 @@ class Run:
         """Measure the end of an NLP on the source problem and show it."""
         measured = self._measured(phase, t, result.x)
         point = result.x, measured["objective"], self.excess(result.x)
-        if np.isfinite(point[2]) and (self.nearest is None or _order(point) < _order(self.nearest)):
-            self.nearest = point
+        self.nearest = min(self.nearest, point, key=_order)
         step = Stage(
             **measured,
             iterations=result.iterations,

@@ -64,13 +64,13 @@ class MPCCSolver:
             if not (watcher is None or callable(watcher)):
                 raise BadInputError(f"{name} must be callable, got {watcher!r}")
         parameters, budget, options = self.mpcc.parameters(p), budget or self.options.budget(), self.options
-        given = self.mpcc.start(x0, parameters)
-        weight = self.nlps.lifted.weight(given, parameters)
+        given, weight = self.mpcc.start(x0, parameters), None
         ends: list[MPCCResult] = []
         former: list[dict[float, float]] = []
         for x in islice(chain([given], moved_starts(self.mpcc, given, options.seed)), options.starts):
-            run = Run(self.nlps, parameters, weight, watchers, budget)
-            result, path = self._one(run, self.mpcc.start(x, parameters), None if ends else start, former)
+            run = self._run(x, parameters, budget, watchers, weight)
+            weight = run.p[-1]
+            result, path = self._one(run, None if ends else start, former)
             ends.append(result if path.joined is None else ends[path.joined])
             former.append(path.levels if result.success else {})
             if budget.is_over():
@@ -80,14 +80,12 @@ class MPCCSolver:
     def _one(
         self,
         run: Run,
-        given: Array,
         start: MPCCResult | Duals | None,
         former: Sequence[dict[float, float]],
     ) -> tuple[MPCCResult, Path]:
         """Solve from one start; also the trajectory of the homotopy, which may have joined a former one."""
-        lifted, paths, main = self.nlps.lifted, list[Path](), Path()
-        z0 = lifted.start(given, run.p[:-1])
-        first = None if start is None else warm_start(lifted, run.p[-1], start)
+        paths, main, z0 = list[Path](), Path(), run.z0
+        first = None if start is None else warm_start(run.lifted, run.p[-1], start)
         with run.limited():
             if first is not None:
                 paths.append(Path(finish=resolved(run, z0, first)))
@@ -98,10 +96,10 @@ class MPCCSolver:
                     follow(run, main, z0, first, former, t0=_APART * run.options.t0)
                 paths.append(main)
             if not former:
-                rescue(run, paths, given, z0)
+                rescue(run, paths)
             if main.joined is None:
                 leave_saddles(run, paths)
-        return result_of(run, end_of(run, paths, z0)), main
+        return result_of(run, end_of(run, paths)), main
 
     def map(
         self, x0s: ArrayLike, ps: Sequence[ArrayLike], *, processes: int | None = None
@@ -122,34 +120,40 @@ class MPCCSolver:
         NaN where they are not shown to exist: without S, where something active has no multiplier, and where
         the Hessian of the Lagrangian is not positive along what is active.
         """
-        run, z = self._at(result.x, p)
+        run = self._run(result.x, p)
         duals = warm_start(self.nlps.lifted, run.p[-1], result)
         if result.stationarity != "S":
             return np.full((self.mpcc.n_x, run.p.size - 1), np.nan)
-        return sensitivity(run, z, *duals)[: self.mpcc.n_x]
+        return sensitivity(run, run.z0, *duals)[: self.mpcc.n_x]
 
     def finish(self, x0: ArrayLike, *, p: ArrayLike = (), budget: Budget | None = None) -> MPCCResult:
         """Only the exact finish, from a point whose pairs are complementary or nearly so.
 
         It descends over the branches from the one that ``x0`` is next to, without any relaxation.
         """
-        run, z0 = self._at(x0, p, budget)
-        path = Path()
+        run, path = self._run(x0, p, budget), Path()
         with run.limited():
-            path.keep(finish(run, z0, search=not run.exact(z0)))
-        return result_of(run, end_of(run, [path], z0))
+            path.keep(finish(run, run.z0, search=not run.exact(run.z0)))
+        return result_of(run, end_of(run, [path]))
 
     def classify(self, x: ArrayLike, *, p: ArrayLike = ()) -> MPCCResult:
         """Measure and label a given point; see :func:`classify`."""
-        run, z = self._at(x, p)
-        return result_of(run, labelled(run, z, run.objective(z), Status.CONVERGED))
+        run = self._run(x, p)
+        return result_of(run, labelled(run, run.z0, run.objective(run.z0), Status.CONVERGED))
 
-    def _at(self, x: ArrayLike, p: ArrayLike, budget: Budget | None = None) -> tuple[Run, Array]:
-        """A run, and a point of the source problem as one of the lifted problem."""
+    def _run(
+        self,
+        x: ArrayLike,
+        p: ArrayLike,
+        budget: Budget | None = None,
+        watchers: Watchers = (None, None),
+        weight: float | None = None,
+    ) -> Run:
+        """A run from a point of the source problem, by default with the weight that suits it."""
         lifted, parameters = self.nlps.lifted, self.mpcc.parameters(p)
         given = self.mpcc.start(x, parameters)
-        run = Run(self.nlps, parameters, lifted.weight(given, parameters), budget=budget)
-        return run, lifted.start(given, parameters)
+        weight = weight or lifted.weight(given, parameters)
+        return Run(self.nlps, lifted.start(given, parameters), parameters, weight, watchers, budget)
 
 
 _workers: list[MPCCSolver] = []

@@ -25,8 +25,8 @@ EQUATION = {"lbg": 0, "ubg": 0}
 def chosen(*paths, limit=None, infeasible=False, nearest=None, **names):
     """What is made of the ends of the paths, whose points are exact unless a test says otherwise."""
     run = ScriptedRun(**{"exact": lambda z: True} | names)
-    run.nearest, run.limit, run.is_infeasible = nearest, limit, infeasible
-    return outcome.end_of(run, paths, START)
+    run.nearest, run.limit, run.is_infeasible = nearest or run.nearest, limit, infeasible
+    return outcome.end_of(run, paths)
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,8 @@ def linearised(mpcc: MPCC, point: Sequence[float]) -> tuple[Lifted, Linearisatio
 
 def run_of(mpcc: MPCC, **options: Any) -> Run:
     """A run of an MPCC without parameters."""
-    return Run(CompiledNLPs(mpcc, Options(**options)), np.zeros(0))
+    nlps = CompiledNLPs(mpcc, Options(**options))
+    return Run(nlps, np.zeros(nlps.lifted.nlp.n_x), np.zeros(0))
 
 
 def ended(x: Sequence[float], status: Status = Status.CONVERGED, f: float = 0.0, **changes: Any) -> NLPResult:
@@ -79,7 +80,7 @@ class ScriptedRun(Run):
         weight: float = 1.0,
         **options: Any,
     ) -> None:
-        super().__init__(CompiledNLPs(mpcc or two_minima(), Options(**options)), np.zeros(0), weight)
+        super().__init__(CompiledNLPs(mpcc or two_minima(), Options(**options)), START, np.zeros(0), weight)
         self.answered_cost = 1.0
         self.relaxations, self.is_exact = relaxations, exact
         self.calls: list[Call] = []
