@@ -18,7 +18,6 @@ from rmesh_nlp.mpcc.lpec import Linearisation, linearise
 from rmesh_nlp.mpcc.newton import newton
 from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.mpcc.stationarity import UNLABELLED, Stationarity, stationarity
-from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an end further above the expected objective is not yet final
@@ -66,7 +65,8 @@ def finish(run: Run, z: Array, *, search: bool, warm: Warm = None) -> Finish:
     end = resolved(run, z, warm) if search else None
     if end is not None and at_the_limit(end.f, run.objective(z)):
         return end
-    other = settled(run, run.branch(z, run.lifted.smaller(z)))
+    branch = run.branch(z, run.lifted.smaller(z))
+    other = pivot(run, labelled(run, branch.x, branch.f, branch.status, branch.lam_g, is_last=False))
     return other if end is None or other.rank > end.rank else end
 
 
@@ -106,11 +106,6 @@ def labelled(
     lin = linearise(run.lifted, z, run.p, options.activity, options.corner)
     label = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows, search, is_last)
     return Finish(z, f, label.status, label, lin)
-
-
-def settled(run: Run, result: NLPResult) -> Finish:
-    """Descend over the branches from the solution of one, if it is exact."""
-    return pivot(run, labelled(run, result.x, result.f, result.status, result.lam_g, is_last=False))
 
 
 def pivot(run: Run, point: Finish) -> Finish:

@@ -30,10 +30,9 @@ from rmesh_nlp.optimize.status import Status
 _COLUMNS = ["f", "g", "G", "H"]
 _KEYS = ("x", *_COLUMNS, "p")
 _OF_PAIRS = ("lbG", "ubG", "lbH", "ubH", "switches")
-_BOUNDS = ("lbx", "ubx", "lbg", "ubg")
+_BOUNDS = {"lbx": -np.inf, "ubx": np.inf, "lbg": -np.inf, "ubg": np.inf}
 _INPUTS = (*ca.nlpsol_in(), "lam_G0", "lam_H0")
 _OUTPUTS = (*ca.nlpsol_out(), "G", "H", "lam_G", "lam_H")
-_DEFAULTS = {"lbx": -np.inf, "ubx": np.inf, "lbg": -np.inf, "ubg": np.inf}
 _STATS = (
     "success", "message", "stationarity", "b_stationary", "n_biactive", "constraint_violation",
     "complementarity", "curvature",
@@ -43,9 +42,9 @@ _UNIFIED = {
     Status.ITERATION_LIMIT: "LIMITED", Status.TIME_LIMIT: "LIMITED", Status.EVALUATION_ERROR: "NAN",
 }  # fmt: skip
 _OF_FUNCTIONS = (
-    *("enable_fd", "enable_forward", "enable_reverse", "fd_method", "fd_options"),
-    *("verbose", "print_in", "print_out"),
-)
+    "enable_fd", "enable_forward", "enable_reverse", "fd_method", "fd_options",
+    "verbose", "print_in", "print_out",
+)  # fmt: skip
 """Options of any CasADi Function."""
 _KEPT = 8  # solvers with bounds of their own
 
@@ -63,7 +62,7 @@ class MPCCFunction(ca.Function):
 
     def __init__(self, name: str, solve: _Solve) -> None:
         inputs = [ca.MX.sym(key, solve.sizes[key]) for key in _INPUTS]
-        defaults = [_DEFAULTS.get(key, 0.0) for key in _INPUTS]
+        defaults = [_BOUNDS.get(key, 0.0) for key in _INPUTS]
         outputs = solve.call(inputs)
         super().__init__(ca.Function(name, inputs, outputs, _INPUTS, _OUTPUTS, {"default_in": defaults}))
         self._solve = solve
@@ -196,8 +195,8 @@ def mpccsol(
     own = {key: settings.pop(key) for key in _OF_FUNCTIONS if key in settings}
     fails, expand = bool(settings.pop("error_on_fail", False)), bool(settings.pop("expand", False))
     settings.pop("print_time", None)  # nothing is printed
-    dotted = {key: settings.pop(key) for key in list(settings) if key.startswith("ipopt.")}
-    ipopt = {key.removeprefix("ipopt."): value for key, value in dotted.items()}
+    dotted = [key for key in settings if key.startswith("ipopt.")]
+    ipopt = {key.removeprefix("ipopt."): settings.pop(key) for key in dotted}
     settings["ipopt"] = {**settings.get("ipopt", {}), **ipopt}
     changed = Options().having({**settings, "relaxation": plugin})
     parts: dict[str, Any] = {key: problem.get(key) for key in _KEYS}

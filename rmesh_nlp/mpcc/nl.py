@@ -251,7 +251,7 @@ class _Reader:
                 case "n":
                     value = ca.SX(_finite(read("f")[0]))
                 case "s" | "l" as kind:
-                    value = ca.SX(read("h" if kind == "s" else "l")[0])
+                    value = ca.SX(read("h" if kind == "s" else "i")[0])
                 case "v":
                     value = self.values[_place(read("i")[0], len(self.values))]
                 case "o":

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 
 _HEADER = 10  # lines
 _ORDERS = {0: "<", 1: "<", 2: ">"}  # by the kind of arithmetic in the header
-_CODES = {"i": "i", "l": "i", "h": "h", "f": "d"}
-_CONVERSIONS = {"i": int, "l": int, "h": int, "f": float, "s": str}
+_CODES = {"i": "i", "h": "h", "f": "d"}
+_CONVERSIONS = {"i": int, "h": int, "f": float, "s": str}
 
 
 class TextRecords:
@@ -28,7 +28,6 @@ class TextRecords:
         self._lines = deque((number, line) for number, line in bare if line)
         self._number, self._open = 0, ""
         self.header = [self._next().split() for _ in range(_HEADER)]
-        self._open = ""
 
     @property
     def place(self) -> str:
@@ -103,7 +102,7 @@ Records: TypeAlias = TextRecords | BinaryRecords
 
 ``header`` has the words of its first ten lines, ``place`` says where the last record was, ``key()`` is the
 letter that opens the next one, ``read(kinds)`` are the numbers of an open record or of the next one, with a
-letter for each: i, l and h whole, f real, s a name."""
+letter for each: i and h whole, f real, s a name."""
 
 
 def open_records(path: Path) -> Records:

@@ -107,7 +107,10 @@ class MPCC:
         n_G, n_H = columns["G"].shape[0], columns["H"].shape[0]
         if n_G != n_H:
             raise ValueError(f"G has length {n_G} and H has length {n_H}: they must pair up")
-        for name, value in columns.items():
+        x_bounds = _bounds("x", self.lbx, self.ubx, x.shape[0], x)
+        g_bounds = _bounds("g", self.lbg, self.ubg, columns["g"].shape[0])
+        bounds = zip(("lbx", "ubx", "lbg", "ubg"), x_bounds + g_bounds, strict=True)
+        for name, value in (*columns.items(), *bounds):
             object.__setattr__(self, name, value)
         try:
             free = self.oracle.get_free() if self.oracle.has_free() else []
@@ -115,11 +118,6 @@ class MPCC:
             raise ValueError("x and p must be distinct symbols, each once") from error
         if free:
             raise ValueError(f"free symbols {free}: they are neither in x nor in p")
-        for name, n in (("x", self.n_x), ("g", self.n_g)):
-            symbols = x if name == "x" else None
-            lower, upper = _bounds(name, getattr(self, f"lb{name}"), getattr(self, f"ub{name}"), n, symbols)
-            object.__setattr__(self, f"lb{name}", lower)
-            object.__setattr__(self, f"ub{name}", upper)
         if self.derivatives is not None:
             needed, got = (self.n_g + 2 * self.n_pairs, self.n_x), self.derivatives.jac_g.size_out(1)
             if tuple(got) != needed:
@@ -202,10 +200,8 @@ class MPCC:
             self.ubx, kept, kept, self.derivatives,
         ).extended(x=new_x, p=new_p, f=f, g=ca.vertcat(new_g, new_G, new_H), lbx=lbx, ubx=ubx)  # fmt: skip
         columns = self.g, self.G, self.H, new_g, new_G, new_H
-        ends = np.cumsum([column.shape[0] for column in columns])
-        places = np.split(np.arange(ends[-1]), ends[:-1])
-        ordered = oracle.extended(rows=np.concatenate([places[k] for k in (0, 3, 1, 4, 2, 5)]).tolist())
-
+        part = np.repeat(2 * [0, 1, 2], [column.shape[0] for column in columns])
+        ordered = oracle.extended(rows=np.argsort(part, kind="stable").tolist())
         return replace(
             self, x=oracle.x, p=oracle.p, f=oracle.f, g=ca.vertcat(self.g, new_g),
             G=ca.vertcat(self.G, new_G), H=ca.vertcat(self.H, new_H), lbx=oracle.lbx, ubx=oracle.ubx,
