@@ -105,7 +105,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     on_elements = balance.inside * skeleton.areas[inside.elements]
     pressure_work = float(np.sum(on_edges * conditions.offset) + np.sum(on_elements * inside.offset))
     residual = float(np.max([field.residual, edge_residual(skeleton, conditions, field)]))
-    rounding = max(residual, 1e-15) * (strain + abs(balance.reaction_work) + abs(pressure_work))
+    rounding = strain + field.scale * magnitude(u) + abs(balance.reaction_work) + abs(pressure_work)
+    rounding *= max(residual, 1e-15)
     doubt = (  # what quadrature of all data may have changed in the bounds
         load.doubtful_work(u)
         + traction.doubtful_work(u)
@@ -178,12 +179,12 @@ def turning(skeleton: Skeleton, conditions: Conditions, balance: Balance) -> Arr
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:
     """Largest violation of equilibrium on the edges and of the laws on the contact boundary.
 
-    Relative to the largest force through an edge. Sums of tractions, less the applied ones and
+    Relative to the scale of forces. Sums of tractions, less the applied ones and
     those of contact, must vanish along every edge in every component that is not given, forces on tools too;
     contact must press and friction stay within its bound.
     """
     balance, edge = field.balance, skeleton.lengths[conditions.contact]
-    assembled, scale = balance.assembled, float(np.max(np.abs(field.forces), initial=1e-300))
+    assembled = balance.assembled
     on_edges = assembled.numbers[:, : len(field.forces.T)]
     total = np.bincount(on_edges.ravel(), field.forces.ravel(), assembled.held.size)
     total = assembled.turn @ total - assembled.applied
@@ -191,7 +192,7 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     total -= pressing.T @ (balance.pressure * edge).ravel() + along.T @ (balance.friction * edge).ravel()
     slipping = np.abs(balance.friction) - conditions.friction
     parts = (np.abs(np.where(assembled.held, 0.0, total)), -balance.pressure * edge, slipping * edge)
-    return float(np.max([np.max(part, initial=0.0) for part in parts])) / scale
+    return float(np.max([np.max(part, initial=0.0) for part in parts])) / field.scale
 
 
 def refined_bracket(

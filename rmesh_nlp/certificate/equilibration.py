@@ -31,7 +31,7 @@ from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
-from rmesh_nlp.evaluation import ROUNDING, Array, Index
+from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, magnitude
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import strain_energies
 from rmesh_nlp.optimize.status import Status
@@ -93,8 +93,9 @@ class EquilibratedField:
     defect: Array  # (elements,), distance between this field and that of the computed displacement
     variation: Array  # (elements,), distance from a field that a polynomial of the loads' degree has
     forces: Array  # (elements, traces), coefficients of the tractions times the edge's length
+    scale: float  # largest of these, at least what rounding makes of the displacement over PROVED
     balance: Balance
-    residual: float  # largest violation of equilibrium inside elements, relative to the largest force
+    residual: float  # largest violation of equilibrium inside elements, relative to the scale of forces
     fields: TraceFields
     load: Loads
 
@@ -142,6 +143,10 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
     else:
         strain, defect = fields.energy(computed), np.sqrt(2 * fields.energy(correction))
         variation = np.sqrt(2 * fields.energy(field - mean))
+    # where the best field vanishes its forces are rounding
+    softest = np.min(np.max(np.abs(fields.stiffness), axis=(1, 2)))
+    rounding = 8 * np.finfo(float).eps * float(softest) * magnitude(u)
+    scale = max(magnitude(forces), rounding / PROVED, 1e-300)
     return EquilibratedField(
         mean=mean[: len(u) + 1] / problem.measured(skeleton.corners.mean(axis=1)),
         computed=strain,
@@ -149,8 +154,9 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         defect=defect,
         variation=np.minimum(variation, defect),
         forces=forces,
+        scale=scale,
         balance=balanced,
-        residual=fields.imbalance(field, pushing),
+        residual=fields.imbalance(field, pushing, scale),
         fields=fields,
         load=load,
     )

@@ -202,14 +202,17 @@ class TraceFields:
         """(values, elements) means."""
         return np.einsum("p,pve->ve", self.element.pieces.shares, field.mean(axis=1))
 
-    def imbalance(self, field: Array, load: Array) -> float:
-        """Largest violation of equilibrium with a load in the triangles, relative to the largest force."""
+    def imbalance(self, field: Array, load: Array, scale: float = 1e-300) -> float:
+        """Largest violation of equilibrium with a load in the triangles, relative to the largest force.
+
+        That is at least ``scale``.
+        """
         pieces, corners, areas = self.element.pieces, self.skeleton.corners, self.skeleton.areas
         body = np.einsum("pfg,cge->cpfe", pieces.restriction, load)
         out = pieces.divergence(field, corners) + body
         lowered = np.linalg.pinv(elevation(pieces.degree + 1, 3))
         out[0] -= np.einsum("gf,pfve->pge", lowered, field[:, :, 3:])
         share = pieces.shares[:, None, None] * areas
-        largest = max(map(magnitude, (self.forces(field), load * areas)))
+        largest = max(scale, *map(magnitude, (self.forces(field), load * areas)))
         violations = out * share, pieces.faults(field, corners)
-        return max(map(magnitude, violations)) / max(largest, 1e-300)
+        return max(map(magnitude, violations)) / largest

@@ -59,13 +59,13 @@ def force_bounds(
     gap = max(exact.energy - lower, ROUNDING * exact.strain)
     size = magnitude(exact.displacement) * np.sqrt(gap / max(exact.strain, 1e-300))
     gaps = (exact.system.normals @ exact.state.u + exact.system.offset)[rows]
-    raised = exact.system.offset.copy()
-    raised[rows] -= shape
-    force = exact.system.with_offset(raised).equilibrium(active).normal_force
-    now, touches = exact.state.normal_force[rows], np.any(active.touching[rows])
+    raised = 0 * exact.system.offset
+    raised[rows] = shape
+    bent = exact.system.response(active, 0 * exact.system.load, raised)
+    now = exact.state.normal_force[rows]
     # where the load alone gives the force it is zero up to rounding, and s large, but not without limit
     least = ROUNDING * float(now @ shape) ** 2 / gap
-    bend = max(float((force[rows] - now) @ shape), least) if touches else 0.0
+    bend = max(float(bent @ (exact.system.stiffness @ bent)), least)
     low, high = slope_bounds(upper, lower, gap, bend, float(max(size, np.min(gaps))))
     return max(low, 0.0) if is_whole else low, high
 

@@ -231,7 +231,8 @@ def _load_bounds(
 
     gap, value = max(known.upper - known.lower, ROUNDING * exact.strain), float(push @ u)
     flat = np.sqrt(gap * exact.strain) / max(float(np.abs(push) @ np.abs(u)), 1e-300)
-    bend = float(push[free] @ (moved(1.0).equilibrium(exact.state.active).u - exact.state.u))
+    bent = exact.system.response(exact.state.active, push[free], 0 * exact.system.offset)
+    bend = float(push[free] @ bent)
     low, high = slope_bounds(upper, -known.upper, gap, bend, flat)
     return Bounds(low, value, high, not known.why)
 

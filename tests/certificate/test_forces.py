@@ -140,6 +140,20 @@ def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch:
     assert force_bounds(exact, lower, contact) == (0, np.inf)
 
 
+def test_bounds_do_not_depend_on_units() -> None:
+    """Of length and of force: a foundation is not raised, nor a load added, by one of these."""
+    found = []
+    for length, force in ((1.0, 1.0), (1e6, 1e17)):
+        ground = Obstacle.circle("bottom", (0.9 * length, -2.0 * length), 2 * length)
+        law = PlaneStrain.from_young(1e3 * force / length**2, 0.3)
+        mesh, pressed = rectangle(3, 1, x=(0, 2 * length), y=(0, length)), (0.0, -0.05 * length)
+        problem = ContactProblem(mesh, law, (Dirichlet("top", pressed),), ground, order=2)
+        bounds = certify(fixed.solve(problem), quantities=("mean(left, -ux)",)).bounds
+        values = [[one.lower, one.upper] for one in bounds.values()]
+        found.append(np.array(values) / [[force / length], [length]])
+    np.testing.assert_allclose(*found, rtol=1e-3)
+
+
 def test_a_smaller_step_bounds_a_slope_where_a_larger_one_is_not_possible() -> None:
     """P(s) = s^2 up to s = 1, known up to 1: the best step would be 4."""
     bounds = slope_bounds(lambda s: s**2 if abs(s) < 1 else np.inf, -1.0, 1.0, 1 / 8, 0.0)
