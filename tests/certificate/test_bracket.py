@@ -355,8 +355,8 @@ def test_what_polynomials_leave_of_contact_on_a_circle_is_known(order):
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_field_of_no_stress_is_in_equilibrium(order: int) -> None:
     """It is the best one on few edges over a narrow foundation; what is left of its forces is rounding."""
-    narrow, pressed = Obstacle.circle("bottom", (0.5, -0.8), 0.8), (Dirichlet("top", (0.0, -0.01)),)
-    problem = ContactProblem(rectangle(1, 1), PlaneStrain(3.0, 2.0), pressed, narrow, order=order)
+    narrow, pressed = rm.Obstacle.circle("bottom", (0.5, -0.8), 0.8), (rm.Dirichlet("top", (0.0, -0.01)),)
+    problem = rm.ContactProblem(rectangle(1, 1), rm.PlaneStrain(3.0, 2.0), pressed, narrow, order=order)
     found = bracket_of(problem)
     assert not found.lower_faults
     assert found.lower == pytest.approx(0, abs=1e-12)

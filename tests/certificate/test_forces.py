@@ -146,9 +146,9 @@ def test_bounds_do_not_depend_on_units() -> None:
     for length, force in ((1.0, 1.0), (1e6, 1e17)):
         ground = Obstacle.circle("bottom", (0.9 * length, -2.0 * length), 2 * length)
         law = PlaneStrain.from_young(1e3 * force / length**2, 0.3)
-        mesh, pressed = rectangle(3, 1, x=(0, 2 * length), y=(0, length)), (0.0, -0.05 * length)
+        mesh, pressed = rm.shapes.rectangle(3, 1, x=(0, 2 * length), y=(0, length)), (0.0, -0.05 * length)
         problem = ContactProblem(mesh, law, (Dirichlet("top", pressed),), ground, order=2)
-        bounds = certify(fixed.solve(problem), quantities=("mean(left, -ux)",)).bounds
+        bounds = rm.certify(fixed.solve(problem), quantities=("mean(left, -ux)",)).bounds
         values = [[one.lower, one.upper] for one in bounds.values()]
         found.append(np.array(values) / [[force / length], [length]])
     np.testing.assert_allclose(*found, rtol=1e-3)
