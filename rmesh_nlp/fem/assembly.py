@@ -161,7 +161,8 @@ class Sums:
         given = [np.zeros(0) if values is None else values for values in inputs]
         key = [values.tobytes() for values in given]
         if self._last is None or key != self._last[0]:
-            local = [part(given) for part in self._parts]
+            with np.errstate(all="ignore"):  # Ipopt tries any point; what is not finite shows in the result
+                local = [part(given) for part in self._parts]
             flat = ([np.zeros(0), *(part[k].ravel() for part in local)] for k in range(len(self._sums)))
             results = [total @ np.concatenate(each) for total, each in zip(self._sums, flat, strict=True)]
             self._last = key, results
