@@ -115,7 +115,7 @@ def solve(
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
     rmesh solve 6.1 --formulation nested --n 32
     rmesh solve 6.1 --order 2
-    rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation kanzow-schwartz
+    rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested --certify
     rmesh solve my.toml --remesh
     rmesh solve my.toml --columns 1

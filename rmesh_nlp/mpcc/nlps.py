@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
@@ -71,5 +72,8 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, ca.Function]:
     relaxed = RELAXATIONS[name](a, b, t)
     lam = ca.MX.sym("lam", relaxed.rows.shape[0])
     slope = ca.gradient(relaxed.penalty + ca.dot(lam, relaxed.rows), t)
+    if not relaxed.signs:
+        slacks = np.full(nlp.n_x - lifted.source.n_x, -np.inf)
+        nlp = replace(nlp, lbx=np.append(lifted.source.lbx, slacks))
     longer = nlp.extended(p=t, f=relaxed.penalty, g=relaxed.rows, ubg=0)
     return longer, ca.Function("slope", [nlp.x, t, lam], [slope])

@@ -7,6 +7,7 @@ where Scholtes' hyperbola ``a b = t`` has it: equal t means a relaxation of comp
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -17,10 +18,14 @@ from rmesh_nlp.optimize.nlp import Symbolic
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Constraint rows ``rows <= 0`` beside ``a, b >= 0``, and a term of the objective."""
+    """Constraint rows ``rows <= 0`` and a term of the objective.
+
+    ``signs`` says whether ``a, b >= 0`` stays beside the rows, or whether the rows replace it.
+    """
 
     rows: Symbolic
     penalty: Symbolic | float = 0.0
+    signs: bool = True
 
 
 def scholtes(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
@@ -30,6 +35,30 @@ def scholtes(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     complementarity constraints, SIAM J. Optim. 11 (2001) 918-936.
     """
     return Relaxation(a * b - t)
+
+
+def lin_fukushima(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
+    """``a b <= s^2`` and ``(a + s)(b + s) >= s^2``, with ``s = sqrt(t)``.
+
+    G.-H. Lin and M. Fukushima, A modified relaxation scheme for mathematical programs with
+    complementarity constraints, Ann. Oper. Res. 133 (2005) 63-84. The two rows replace the
+    signs of a and b (bounds that the problem itself gives stay): a may be negative by less than s.
+    """
+    s = ca.sqrt(t)
+    return Relaxation(ca.vertcat(a * b - t, -(a * b + s * (a + b))), signs=False)
+
+
+def steffensen_ulbrich(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
+    """``a + b <= phi(a - b)``, the kink of ``|a - b|`` rounded on ``|a - b| < s``.
+
+    ``phi(z) = |z|`` outside and ``s ((2 / pi) sin(pi z / (2 s) + 3 pi / 2) + 1)`` inside;
+    ``s = 2 sqrt(t) / (1 - 2 / pi)``. S. Steffensen and M. Ulbrich, A new relaxation scheme for
+    mathematical programs with equilibrium constraints, SIAM J. Optim. 20 (2010) 2504-2539.
+    """
+    s = 2 * ca.sqrt(t) / (1 - 2 / math.pi)
+    z = a - b
+    inside = s * (2 / math.pi * ca.sin(math.pi / 2 * z / s + 1.5 * math.pi) + 1)
+    return Relaxation(a + b - ca.if_else(ca.fabs(z) < s, inside, ca.fabs(z)))
 
 
 def kanzow_schwartz(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
@@ -67,6 +96,8 @@ def l1_penalty(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
 
 RELAXATIONS: Mapping[str, Callable[[Symbolic, Symbolic, Symbolic], Relaxation]] = {
     "scholtes": scholtes,
+    "lin-fukushima": lin_fukushima,
+    "steffensen-ulbrich": steffensen_ulbrich,
     "kanzow-schwartz": kanzow_schwartz,
     "fischer-burmeister": fischer_burmeister,
     "l1-penalty": l1_penalty,

@@ -28,11 +28,11 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
 
 
 TYPED = (
-    "--relaxation kanzow-schwartz --seed 0 --objective error-l2 --time-limit 9 --max-iterations 7 "
+    "--relaxation lin-fukushima --seed 0 --objective error-l2 --time-limit 9 --max-iterations 7 "
     "--tolerance 0.01 --start joint --set t0=1e-3 --set ipopt_exact.tol=1e-9 --certify"
 )
 MEANT = {
-    "relaxation": "kanzow-schwartz", "seed": 0, "objective": "error-l2", "tolerance": 0.01, "start": "joint",
+    "relaxation": "lin-fukushima", "seed": 0, "objective": "error-l2", "tolerance": 0.01, "start": "joint",
     "limits": {"seconds": 9.0, "iterations": 7}, "t0": 1e-3, "ipopt_exact": {"tol": 1e-9},
 }  # fmt: skip
 

@@ -62,6 +62,7 @@ def test_known_multipliers_are_put_on_rows_bounds_and_members():
 
 A, B, T = np.array([0.3, 2.0]), np.array([0.5, 0.1]), 0.04
 S = 0.2  # sqrt(T)
+PHI = 2 * S / (1 - 2 / np.pi)  # Steffensen and Ulbrich's s
 
 
 def at(name, a=A, b=B, t=T):
@@ -76,6 +77,11 @@ def at(name, a=A, b=B, t=T):
     ("name", "expected"),
     [
         ("scholtes", [0.15 - T, 0.2 - T]),
+        ("lin-fukushima", [0.15 - T, 0.2 - T, -(0.15 + S * 0.8), -(0.2 + S * 2.1)]),
+        (
+            "steffensen-ulbrich",  # |a - b| = 0.2 lies inside of s = 1.1, 1.9 outside
+            [0.8 - PHI * (2 / np.pi * np.sin(-np.pi / 2 * S / PHI + 1.5 * np.pi) + 1), 2.1 - 1.9],
+        ),
         ("kanzow-schwartz", [0.1 * 0.3, 1.8 * -0.1]),
         ("fischer-burmeister", [0.8 - np.sqrt(0.34 + 2 * T), 2.1 - np.sqrt(4.01 + 2 * T)]),
     ],

@@ -34,7 +34,7 @@ def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
     [
         ({"formulation": "mpcc", "start": "joint"}, "joint, certified as an MPCC solution"),
         ({"formulation": "nested", "start": "joint"}, "nested"),
-        ({"formulation": "mpcc", "relaxation": "kanzow-schwartz"}, "mpcc, kanzow-schwartz"),
+        ({"formulation": "mpcc", "relaxation": "lin-fukushima"}, "mpcc, lin-fukushima"),
         ({"objective": "error-l2", "seed": 0}, "fixed, error-l2, seed 0"),
         ({"objective": "energy + 0.01*shape-size", "regularisation": 0.01}, "fixed, regularised"),
         ({"objective": "energy + 1*s", "regularisation": 1.0, "chosen_by": "auto"}, "auto (fixed)"),

@@ -75,7 +75,7 @@ MANY = [
     *ROWS,
     *(joint_62(seed=seed) for seed in range(50)),
     joint_61(
-        **{"formulation": "mpcc", "start": "joint", "relaxation": "kanzow-schwartz"},
+        **{"formulation": "mpcc", "start": "joint", "relaxation": "lin-fukushima"},
         **{"status": "iteration_limit", "objective": "error-l2+0.01*quality"},
         **{"objective_initial": 1e-3, "objective_value": 2e-4},
     ),
