@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
+from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric, summed
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction, gaps
@@ -19,6 +20,7 @@ from rmesh_nlp.fem.energy import loads, strain
 from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.design import at_design
 
@@ -93,6 +95,8 @@ class ContactSolver:
     def __init__(self, problem: ContactProblem | Discretisation, start: ActiveSet | None = None) -> None:
         self.discretisation = parts = discretise(problem)
         self.problem = problem = parts.problem
+        if problem.motion.curves and not Body(problem, problem.mesh.p).is_upright():
+            raise ProblemError("mesh", "the arc of a curve cuts through its triangle: take a finer mesh")
         self.start = start
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.space.contact_nodes

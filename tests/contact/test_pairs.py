@@ -317,6 +317,17 @@ def test_press_fit_has_the_pressure_of_thick_rings(order: int) -> None:
     assert solution.energy == pytest.approx(lame * 0.0025 * 5 * np.pi, rel={1: 0.02, 2: 1e-4}[order])
 
 
+def test_an_arc_that_cuts_through_its_triangle_is_told() -> None:
+    """Above the chord of the arc, which is 0.086 high, and below the arc itself."""
+    problem = press_fit(1, 2)
+    p, chord = np.array(problem.mesh.p), problem.mesh.facets[:, problem.mesh.boundaries["bore"][0]]
+    element = np.argmax(np.isin(problem.mesh.t, chord).sum(axis=0) == 2)
+    middle = p[:, chord].mean(axis=1)
+    p[:, np.setdiff1d(problem.mesh.t[:, element], chord)] = (middle * 10.04 / np.linalg.norm(middle))[:, None]
+    with pytest.raises(rm.BadInputError, match="take a finer mesh"):
+        rm.solve(replace(problem, mesh=replace(problem.mesh, doflocs=p)), "fixed")
+
+
 def disc_in_ring(level: int, order: int) -> rm.ContactProblem:
     """A quarter of a disc of radius 0.6 in a ring of radius 1, pressed by 1e7 + 1e6 cos 2t from outside."""
     grid = MeshTri.init_refdom().refined(level)
