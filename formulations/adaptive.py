@@ -189,7 +189,8 @@ class Adaptive(Wrapper):
                     if has_ends:
                         near = cKDTree(finer.p.T).query(places.T)[1]
                         finer = bisected(problem, finer, np.nonzero(np.isin(finer.t, near))[1])
-                    narrowing = nodes * worst if self.guaranteed and number > 1 else 0  # about like 1 / nodes
+                    is_known = number > 1 and nodes > LARGEST / 100  # that it narrows about like 1 / nodes
+                    narrowing = nodes * worst if self.guaranteed and is_known else 0
                     if max(narrowing, finer.p.shape[1]) > LARGEST:
                         raise NotCertifiableError(
                             f"on {nodes} nodes the error, or half the width of bounds, is {worst:.3g} times "

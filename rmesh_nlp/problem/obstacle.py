@@ -361,7 +361,9 @@ class Obstacle:
         """The gap without displacement of the body at a point."""
         gap = at(self.offset, x, y)
         if self.level is not None and not self.other:
-            gap += at(self.level, x, y) / ca.norm_2(gradient(self.level)(x, y))
+            # off a circle it is a distance already
+            is_circle = isinstance(self.level, partial) and self.level.func is off_circle
+            gap += at(self.level, x, y) / (1 if is_circle else ca.norm_2(gradient(self.level)(x, y)))
         if self.displacement is None:
             return gap
         return gap - ca.dot(self.direction(x, y), ca.DM(self.displacement))

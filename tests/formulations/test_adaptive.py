@@ -187,6 +187,17 @@ def test_bounds_that_stay_wide_end_the_refinement(body: rm.ContactProblem) -> No
     assert "would not suffice" in solution.details["estimates_remark"]
 
 
+@pytest.mark.slow
+def test_a_small_roller_has_guaranteed_bounds_from_a_coarse_mesh() -> None:
+    """Its radius is a tenth of an edge, and so it stays away from contact."""
+    roller = rm.Obstacle.circle("top", (0.3, 1.05), 0.05)
+    mesh, roller = rm.shapes.rectangle(8, 4, x=(-2, 2)), replace(roller, force=(0.0, -20.0), move="y")
+    law = rm.PlaneStrain.from_young(21600.0, 0.3)
+    solution = rm.solve(rm.ContactProblem(mesh, law, ("bottom",), roller), accuracy=0.1, guaranteed=True)
+    assert solution.status is rm.Status.CONVERGED
+    assert solution.details["estimates"]["tool_y(top)"]["guaranteed"]
+
+
 def test_estimates_stay_where_there_is_no_certificate(body: rm.ContactProblem) -> None:
     rough = replace(body, obstacle=rm.Obstacle.graph("bottom", lambda x, y: -0.02 - 0.03 * x, coulomb=0.3))
     solution = rm.solve(rough, accuracy=0.05, guaranteed=True)
