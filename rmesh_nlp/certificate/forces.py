@@ -57,12 +57,12 @@ def force_bounds(
         return trial.energy + trial.doubt if trial.status is Status.CONVERGED else np.inf
 
     gap = max(exact.energy - lower, ROUNDING * exact.strain)
-    size = magnitude(exact.displacement) * np.sqrt(gap / max(exact.strain, 1e-300))
+    size = magnitude(exact.displacement) * np.sqrt(min(gap / max(exact.strain, 1e-300), 1.0))
     gaps = (exact.system.normals @ exact.state.u + exact.system.offset)[rows]
     raised = 0 * exact.system.offset
     raised[rows] = shape
     bent = exact.system.response(active, 0 * exact.system.load, raised)
-    now = exact.state.normal_force[rows]
+    now = (active.touching * exact.state.normal_force)[rows]
     # where the load alone gives the force it is zero up to rounding, and s large, but not without limit
     least = ROUNDING * float(now @ shape) ** 2 / gap
     bend = max(float(bent @ (exact.system.stiffness @ bent)), least)

@@ -224,6 +224,12 @@ def test_a_foundation_that_touches_a_support_has_a_lower_bound_alone() -> None:
 def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
     lower, upper = bounds_of(replace(body(2, 2, 0.0), obstacle=Obstacle("bottom", offset=1.0)))
     assert 0 == lower < upper < 1e-2 * value_on(body(2, 2, 0.0), "resultant(bottom)")
+    pressed, ground = (Dirichlet("top", (0.0, -0.1)),), Obstacle("bottom", offset=1.0)
+    law = PlaneStrain.from_young(1000.0, 0.3)
+    exact = admissible(ContactProblem(rm.shapes.rectangle(2, 1), law, pressed, ground))
+    (contact,) = exact.continuous.space.contact_sets
+    lower, upper = force_bounds(exact, exact.energy - 1e-6, contact)
+    assert 0 == lower < upper < 2e-6
 
 
 @pytest.mark.parametrize(
