@@ -67,11 +67,9 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
         raise ValueError("upper: 'x' is missing, the upper level's variables")
     if "p" in lower:
         raise ValueError("lower: parameters p belong to the upper level's mapping, for both levels")
-    y, x = _column("variables", variables, None), _column("x", upper["x"], None)
+    x = _column("x", upper["x"], None)
     kind = type(x)
-    if kind is not type(y):
-        raise ValueError(f"x is {kind.__name__}, variables are {type(y).__name__}: SX and MX do not mix")
-    p = _column("p", upper.get("p"), kind)
+    y, p = _column("variables", variables, kind), _column("p", upper.get("p"), kind)
     if "x" in lower and not ca.is_equal(_column("x", lower["x"], None), y, 1):
         raise ValueError("lower: x is not the column of the variables; it may be left out")
     if ca.depends_on(x, y):

@@ -45,14 +45,12 @@ class BilevelResult:
     """End of a bilevel program: both levels' variables, and the MPCC with its ``cuts`` that led there.
 
     ``success``: the MPCC's, no search found a lower value of the lower level, the last one from 100 starts,
-    and no lower end was left for want of cuts. What else an MPCCResult has, such as ``status``, is that of
-    ``result``: ``iteration_limit`` if cuts ran out, or no longer helped.
+    and no lower end was left for want of cuts. What else an MPCCResult has, such as ``f`` and ``status``, is
+    that of ``result``: ``iteration_limit`` if cuts ran out, or no longer helped.
     """
 
     x: Array
     y: Array
-    f: float
-    success: bool
     cuts: int
     result: MPCCResult
 
@@ -133,7 +131,7 @@ def solve_bilevel(
         said = f"{status.message} The MPCC has a point with f = {end.f:g} that no cut excludes."
         best = replace(best, status=status, success=False, message=said)
     x, y, _ = level.split(best.x)
-    return BilevelResult(x, y, best.f, best.success, made, best)
+    return BilevelResult(x, y, made, best)
 
 
 def _rank(end: MPCCResult) -> tuple[bool, float]:

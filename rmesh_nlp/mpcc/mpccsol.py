@@ -150,8 +150,8 @@ class _Solve(PythonFunction):
         if self._error_on_fail and not result.success:
             raise RuntimeError(f"{self._name}: {result.message}")
         lam_p = -self._slope(result.x, given["p"], 1, result.lam_g, result.lam_G, result.lam_H)
-        answers = {name: lam_p if name == "lam_p" else np.ravel(getattr(result, name)) for name in _OUTPUTS}
-        return [values[: self.sizes[name]] for name, values in answers.items()]
+        answers = {**vars(result), "lam_p": lam_p}
+        return [np.ravel(answers[name])[: self.sizes[name]] for name in _OUTPUTS]
 
     def _made(self, *bounds: bytes) -> MPCCSolver:
         """The solver for these bounds; CasADi's derivatives are shared with those before."""

@@ -26,18 +26,23 @@ from rmesh_nlp.mpcc.nl_records import Records, open_records
 
 Operation = Callable[..., ca.SX]
 
-_UNARY: dict[int, Operation] = {
+_UNARY = {
     13: ca.floor, 14: ca.ceil, 15: ca.fabs, 16: operator.neg, 34: ca.logic_not, 37: ca.tanh, 38: ca.tan,
     39: ca.sqrt, 40: ca.sinh, 41: ca.sin, 42: ca.log10, 43: ca.log, 44: ca.exp, 45: ca.cosh, 46: ca.cos,
     47: ca.atanh, 49: ca.atan, 50: ca.asinh, 51: ca.asin, 52: ca.acosh, 53: ca.acos, 76: lambda a: a * a,
 }  # fmt: skip
-_BINARY: dict[int, Operation] = {
+_BINARY = {
     0: operator.add, 1: operator.sub, 2: operator.mul, 3: operator.truediv, 4: ca.fmod,
     5: operator.pow, 6: lambda a, b: ca.fmax(a - b, 0), 20: ca.logic_or, 21: ca.logic_and,
     22: operator.lt, 23: operator.le, 24: operator.eq, 28: operator.ge, 29: operator.gt, 30: operator.ne,
     48: ca.atan2, 75: operator.pow, 77: operator.pow,
 }  # fmt: skip
-_TERNARY: dict[int, Operation] = {35: ca.if_else}
+_OPERATIONS: dict[int, tuple[Operation, int]] = {
+    **{code: (operation, 1) for code, operation in _UNARY.items()},
+    **{code: (operation, 2) for code, operation in _BINARY.items()},
+    35: (ca.if_else, 3),
+}
+"""Operations and numbers of their arguments, by their number."""
 _FOLDED: dict[int, Operation] = {11: ca.fmin, 12: ca.fmax, 54: operator.add}  # of any number of terms
 _UNSUPPORTED: dict[int | str, str] = {
     64: "a piecewise-linear term", "F": "imported functions", "f": "imported functions", "L": "logical rows"
@@ -271,9 +276,8 @@ class _Reader:
 
     def _operation(self, code: int) -> tuple[Operation, int]:
         """An operation and the number of its arguments."""
-        for count, operations in ((1, _UNARY), (2, _BINARY), (3, _TERNARY)):
-            if code in operations:
-                return operations[code], count
+        if code in _OPERATIONS:
+            return _OPERATIONS[code]
         if code not in _FOLDED:
             raise _unsupported("operation o", code)
         count = self.records.read("i")[0]

@@ -9,11 +9,13 @@ Pyomo and JuMP write text.
 from __future__ import annotations
 
 import struct
-from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
 
+Header = list[list[str]]
 _HEADER = 10  # lines
+_TOO_EARLY = "the file ends too early"
 _ORDERS = {0: "<", 1: "<", 2: ">"}  # by the kind of arithmetic in the header
 _CODES = {"i": "i", "h": "h", "f": "d"}
 _CONVERSIONS = {"i": int, "h": int, "f": float, "s": str}
@@ -22,12 +24,16 @@ _CONVERSIONS = {"i": int, "h": int, "f": float, "s": str}
 class TextRecords:
     """The text form, see :data:`Records`; what stands after ``#`` is a comment."""
 
-    def __init__(self, data: bytes) -> None:
-        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
-        bare = ((number, line.split("#", 1)[0].strip()) for number, line in lines)
-        self._lines = deque((number, line) for number, line in bare if line)
-        self._number, self._open = 0, ""
-        self.header = [self._next().split() for _ in range(_HEADER)]
+    def __init__(self, header: Header, body: bytes) -> None:
+        self.header, self._lines = header, self._bare(body)
+        self._number, self._open = _HEADER, ""
+
+    def _bare(self, body: bytes) -> Iterator[str]:
+        """Lines that say something, each counted as it is asked for."""
+        for line in _text(body).splitlines():
+            self._number += 1
+            if bare := _words(line):
+                yield bare
 
     @property
     def place(self) -> str:
@@ -36,44 +42,39 @@ class TextRecords:
 
     def key(self) -> str:
         """The first letter of the next line, whose rest is read next; none at the end."""
-        line = self._next() if self._lines else ""
+        line = next(self._lines, "")
         self._open = line[1:]
         return line[:1]
 
     def read(self, kinds: str) -> list[Any]:
         """The words of a line as numbers."""
-        words = (self._open or self._next()).split()
-        self._open = ""
+        line = self._open or next(self._lines, "")
+        if not line:
+            raise ValueError(_TOO_EARLY)
+        self._open, words = "", line.split()
         if len(words) != len(kinds):
             raise ValueError(f"{len(kinds)} numbers are expected, got {' '.join(words)!r}")
         return [_CONVERSIONS[kind](word) for kind, word in zip(kinds, words, strict=True)]
-
-    def _next(self) -> str:
-        if not self._lines:
-            raise ValueError("the file ends too early")
-        self._number, line = self._lines.popleft()
-        return line
 
 
 class BinaryRecords:
     """The binary form, see :data:`Records`."""
 
-    def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
-        self.header = [self._line() for _ in range(_HEADER)]
-        kind = int((*self.header[5], "0", "0", "0")[2])
+    def __init__(self, header: Header, body: bytes) -> None:
+        self.header, self._body, self._at = header, body, 0
+        kind = int((*header[5], "0", "0", "0")[2])
         if kind not in _ORDERS:
             raise ValueError(f"arithmetic of kind {kind} is not supported, only IEEE (1 and 2)")
         self._order = _ORDERS[kind]
 
     @property
     def place(self) -> str:
-        """The number of bytes that have been read."""
-        return f"byte {self._at}"
+        """The number of bytes that have been read after the header."""
+        return f"byte {self._at} after the header"
 
     def key(self) -> str:
         """The next byte; none at the end."""
-        return self._take(min(1, len(self._data) - self._at)).decode("latin-1")
+        return self._take(min(1, len(self._body) - self._at)).decode("latin-1")
 
     def read(self, kinds: str) -> list[Any]:
         """The next numbers."""
@@ -81,20 +82,15 @@ class BinaryRecords:
 
     def _one(self, kind: str) -> Any:
         if kind == "s":
-            return self._take(self._one("i")).decode("utf-8", errors="replace")
+            return _text(self._take(self._one("i")))
         code = self._order + _CODES[kind]
         return struct.unpack(code, self._take(struct.calcsize(code)))[0]
 
     def _take(self, n: int) -> bytes:
-        if n < 0 or self._at + n > len(self._data):
-            raise ValueError("the file ends too early")
+        if n < 0 or self._at + n > len(self._body):
+            raise ValueError(_TOO_EARLY)
         self._at += n
-        return self._data[self._at - n : self._at]
-
-    def _line(self) -> list[str]:
-        end = self._data.find(b"\n", self._at)
-        line = self._take(end + 1 - self._at).decode("utf-8", errors="replace")
-        return line.split("#", 1)[0].split()
+        return self._body[self._at - n : self._at]
 
 
 Records: TypeAlias = TextRecords | BinaryRecords
@@ -105,6 +101,15 @@ letter that opens the next one, ``read(kinds)`` are the numbers of an open recor
 letter for each: i and h whole, f real, s a name."""
 
 
+def _text(data: bytes) -> str:
+    return data.decode("utf-8", errors="replace")
+
+
+def _words(line: str) -> str:
+    """A line without its comment."""
+    return line.split("#", 1)[0].strip()
+
+
 def open_records(path: Path) -> Records:
     """Open a ``.nl`` file in either form; a ValueError names it if it is none."""
     data = path.read_bytes()
@@ -113,7 +118,13 @@ def open_records(path: Path) -> Records:
         raise ValueError(f"{path}: the binary form {first!r} is not read; 'b' and the text form 'g' are")
     if first not in ("g", "G", "b", "B"):
         raise ValueError(f"{path}: not an .nl file, it must begin with 'g' (text) or 'b' (binary)")
+    *lines, body = data.split(b"\n", _HEADER)
+    if len(lines) < _HEADER:
+        raise ValueError(f"{path}: {_TOO_EARLY}")
+    header = [_words(_text(line)).split() for line in lines]
+    if first in "gG":
+        return TextRecords(header, body)
     try:
-        return TextRecords(data) if first in "gG" else BinaryRecords(data)
+        return BinaryRecords(header, body)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

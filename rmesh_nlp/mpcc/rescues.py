@@ -74,7 +74,7 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
     """
     lifted, nlp = run.lifted, run.lifted.nlp
     z = np.clip(z, nlp.lbx, nlp.ubx)
-    if _nearest(run, z, np.inf).shown is Status.INFEASIBLE:
+    if _nearest(run, z, np.inf) is Status.INFEASIBLE:
         return z, Status.INFEASIBLE
     own = lifted.smaller(z)
     z[lifted.pairs[own]] = 0.0
@@ -83,10 +83,10 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
         if run.exact(z):
             return z, Status.CONVERGED
         near = _nearest(run, z, radius)
-        if near.shown is None and near.rest <= _FLAT * near.violation:
+        if isinstance(near, _Nearest) and near.rest <= _FLAT * near.violation:
             near = _nearest(run, z, radius, lifted.value(z, run.p)[1] * (k == 0))
-        if near.shown is not None:
-            return z, near.shown
+        if isinstance(near, Status):
+            return z, near
         trial, zero = near.z, near.zero
         if k == 0 and near.rest > _FLAT * near.violation:  # no branch closes it: one after the other
             trial, zero = z, own
@@ -100,45 +100,42 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
 
 
 class _Nearest(NamedTuple):
-    """Where the linearised rows are violated least, in which branch, and what that shows.
+    """Where the linearised rows are violated least, in which branch, and how far was looked.
 
-    ``violation`` at the point itself and the ``rest`` are sums. ``shown``: INFEASIBLE if the violation has a
-    minimum, None if it falls, STALLED if nothing is shown.
+    ``violation`` at the point itself and the ``rest`` are sums.
     """
 
-    shown: Status | None
     z: Array
     zero: Mask
     radius: float
-    violation: float = 0.0
-    rest: float = 0.0
+    violation: float
+    rest: float
 
 
-def _nearest(run: Run, z: Array, radius: float, slope: Array | None = None) -> _Nearest:
+def _nearest(run: Run, z: Array, radius: float, slope: Array | None = None) -> _Nearest | Status:
     """Look within ``radius``, and within what linear programs can see; without a slope off branches too.
 
-    Of several steps that do as well the one down the slope is taken; such a program shows no minimum.
+    INFEASIBLE if the violation has a minimum instead of falling, STALLED if nothing is shown. Of several
+    steps that do as well the one down the slope is taken; such a program shows no minimum.
     """
     nlp, size = run.lifted.nlp, 1.0 + magnitude(z)
-    nothing = _Nearest(Status.STALLED, z, run.lifted.smaller(z), radius)
     _, rows, jacobian = run.lifted.linearise(z, run.p)
     if not all(map(is_finite, (rows, jacobian.data, 0.0 if slope is None else slope))):
-        return nothing
+        return Status.STALLED
     steep = steepness(jacobian)
     away = beyond(rows, nlp.lbg, nlp.ubg)
     seen, violation = float(np.sum(away / steep)), float(np.sum(away))
     radius = min(radius, size, seen / _SEEN)
     if min(seen, radius / size) <= _SEEN:  # too small to show anything
-        return nothing
+        return Status.STALLED
     near = nearest_branch(run.lifted, z, rows, jacobian, radius, slope, run.budget)
     if near is None:
-        return nothing
+        return Status.STALLED
     rest = float(np.sum(beyond(rows + jacobian @ (near[0] - z), nlp.lbg, nlp.ubg)))
     falls, level = (violation - rest) * max(1.0, size / radius), _LEVEL * min(violation, size)
-    shown = None
     if falls <= level and not np.any(slope):  # it cannot rise: then the program was too coarse
-        shown = Status.INFEASIBLE if falls >= -level else Status.STALLED
-    return _Nearest(shown, *near, radius, violation, rest)
+        return Status.INFEASIBLE if falls >= -level else Status.STALLED
+    return _Nearest(*near, radius, violation, rest)
 
 
 def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:

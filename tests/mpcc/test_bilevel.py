@@ -330,7 +330,7 @@ x, y, z = (ca.SX.sym(name) for name in "xyz")
         ({"x": x, "f": x}, {"f": y, "lbx": [0, 1]}, "lower: lbx has length 2"),
         ({"x": x, "f": x}, {"f": y, "lbx": 1, "ubx": 0}, "lower: lbx.0. .*= 1.0 and ubx.0. = 0.0"),
         ({"x": [x, y], "f": x}, {"f": y}, "upper: x has variables of the lower level"),
-        ({"x": ca.MX.sym("x"), "f": 0}, {"f": y}, "SX and MX"),
+        ({"x": ca.MX.sym("x"), "f": 0}, {"f": y}, "variables must be a column of MX"),
     ],
 )  # fmt: skip
 def test_malformed_levels_are_refused(upper, lower, words):
