@@ -120,8 +120,10 @@ class LowerLevel:
 
     def split(self, x: ArrayLike) -> tuple[Array, Array, Array]:
         """Of unknowns of the MPCC the upper level's, the lower level's, and a multiplier for each side."""
-        parts = np.split(np.ravel(x)[: self.size], [self.n_upper, self.n_upper + self.nlp.n_x])
-        return parts[0], parts[1], parts[2]
+        upper, y, multipliers = np.split(
+            np.ravel(x)[: self.size], [self.n_upper, self.n_upper + self.nlp.n_x]
+        )
+        return upper, y, multipliers
 
     def solve(self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = ()) -> NLPResult:
         """Solve the lower level by Ipopt with the upper level's variables ``x``.

@@ -54,11 +54,9 @@ _SETS = ("sosno", "ref")  # suffixes that make special ordered sets of unknowns
 
 
 def _fold(operation: Operation, parts: Sequence[ca.SX]) -> ca.SX:
-    """Combine pairwise, so that long sums do not make deep graphs."""
-    while len(parts) > 1:
-        paired = [operation(a, b) for a, b in zip(parts[::2], parts[1::2], strict=False)]
-        parts = paired + ([parts[-1]] if len(parts) % 2 else [])
-    return parts[0]
+    """Combine halves, so that long sums do not make deep graphs."""
+    half = len(parts) // 2
+    return operation(_fold(operation, parts[:half]), _fold(operation, parts[half:])) if half else parts[0]
 
 
 @dataclass

@@ -114,10 +114,10 @@ def open_records(path: Path) -> Records:
     """Open a ``.nl`` file in either form; a ValueError names it if it is none."""
     data = path.read_bytes()
     first = data[:1].decode("latin-1")
-    if first in ("z", "Z", "h", "H") and data[1:2].isdigit():
-        raise ValueError(f"{path}: the binary form {first!r} is not read; 'b' and the text form 'g' are")
     if first not in ("g", "G", "b", "B"):
-        raise ValueError(f"{path}: not an .nl file, it must begin with 'g' (text) or 'b' (binary)")
+        raise ValueError(
+            f"{path}: an .nl file must begin with 'g' (text) or 'b' (binary), not with {first!r}"
+        )
     *lines, body = data.split(b"\n", _HEADER)
     if len(lines) < _HEADER:
         raise ValueError(f"{path}: {_TOO_EARLY}")

@@ -151,8 +151,7 @@ def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:
     for centre in itertools.cycle((x0, np.zeros_like(x0))):
         unit = 1 + np.abs(centre)
         near = (upper - lower) <= _NEAR * unit
-        share = random.uniform(size=n)
+        inside = random.uniform(np.where(near, lower, 0.0), np.where(near, upper, 0.0))
         spread = 10.0 ** random.uniform(*_SPREADS)
         around = np.clip(centre + spread * unit * random.normal(size=n), lower, upper)
-        inside = np.where(near, lower, 0.0) + share * np.where(near, upper - lower, 0.0)
         yield np.where(near, inside, around)

@@ -57,7 +57,12 @@ def write_sol(path: Path, problem: Problem, result: MPCCResult) -> None:
         raise ValueError(f"{problem.name} was not read from an .nl file: there is no .sol file of it")
     x = result.x[: rows.x.shape[0]]
     duals, reduced = _duals(rows, result)
-    lines = [message(problem, result), "", *_options(rows, duals.size), *_numbers(duals), *_numbers(x)]
+    lines = [
+        message(problem, result),
+        "",
+        *_options(rows, duals.size),
+        *map(repr, (*duals.tolist(), *x.tolist())),
+    ]
     lines += [f"objno 0 {solve_code(result.status)}", *_bound_suffixes(rows, x, reduced), ""]
     try:
         path.write_text("\n".join(lines), encoding="utf-8")
@@ -87,10 +92,6 @@ def _options(rows: Rows, n_duals: int) -> list[str]:
     n = rows.x.shape[0]
     counts = [len(rows.bodies), n_duals, n, n]
     return ["Options", *options[: k + 1], *map(str, counts), *tolerance]
-
-
-def _numbers(values: Array) -> list[str]:
-    return [repr(float(value)) for value in values]
 
 
 def _bound_suffixes(rows: Rows, x: Array, reduced: Array) -> list[str]:

@@ -103,7 +103,7 @@ def test_every_operation_of_an_nl_file(nl, code):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("g3 1 1 0", "z3 1 1 0", "the binary form 'z' is not read"),
+        ("g3 1 1 0", "z3 1 1 0", "must begin with 'g' .text. or 'b' .binary., not with 'z'"),
         ("g3 1 1 0", "hello", "must begin with 'g'"),
         ("0 0.5", "0", "2 numbers are expected, got '0'"),
         ("J0 2\n0 0", "J0 2\n0 0 1", "2 numbers are expected, got '0 0 1'"),  # old files without segment k
