@@ -62,8 +62,8 @@ def pictures(result: Result, page: Page) -> Iterator[tuple[str, Figure]]:
             yield "limits", limits_figure(fields, last, page)
     if (design := figure_of_designs([result], page)) is not None:
         yield "design", design
-    if "meshes" in record:
-        yield "estimates", estimates_figure(record["meshes"], page)
+    if meshes := record.get("meshes"):
+        yield "estimates", estimates_figure(meshes, page)
 
 
 def _paint_mesh(axis: Axes, body: DrawnBody) -> None:
