@@ -37,7 +37,7 @@ from rmesh_nlp.report.columns import CONTACT, PRINTED, Column, of, of_boundaries
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures, stress_figures
 from rmesh_nlp.report.joined import ESTIMATES, estimate_rows
-from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
+from rmesh_nlp.report.notes import MAIN_NOTES, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import Page, lay_out
 from rmesh_nlp.report.table import MISSING, TEMPLATES, Table
@@ -75,7 +75,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
     rows = [row for _, block in sections_of(records) for row in block.records]
     failed = [row for row in rows if not row["success"] and row["status"] != "refused"]
     is_own = not is_study(records) and any(record["example"] not in PAPER for record in records)
-    remarks = study_notes(records) if is_study(records) else shared_notes(records) + block_notes(records)
+    notes = (study_notes, units_notes, stopped_early) if is_study(records) else MAIN_NOTES
     with rc_context(CHART.settings):
         many = len({*map(TEMPLATES.filters["problem"], records)}) >= MANY
         profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results) if many]
@@ -100,12 +100,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         estimates=table_of(ESTIMATES, estimate_rows(records), texts=4),
         more=every,
         failures=table_of((SOLVE, *of("status"), MESSAGE), failed, texts=3),
-        remarks=[
-            *every.caption.split("\n\n"),
-            *units_notes(records),
-            *stopped_early(records),
-            *remarks,
-        ],
+        remarks=[*every.caption.split("\n\n"), *(note for said in notes for note in said(records))],
         environments=_environments(folder, records),
     )
 

@@ -18,8 +18,7 @@ def main_notes(records: Records) -> list[str]:
         for record in block.records
         if not record["success"]
     ]
-    said = (refinement_notes, units_notes, block_notes, stopped_early, shared_notes)
-    return [*(note for notes in said for note in notes(records)), *failures]
+    return [*(note for said in MAIN_NOTES for note in said(records)), *failures]
 
 
 def block_notes(records: Records) -> list[str]:
@@ -72,3 +71,6 @@ def units_notes(records: Records) -> list[str]:
         for (units, energy), own in named.items()
         if units.length and units.force
     ]
+
+
+MAIN_NOTES = (refinement_notes, units_notes, block_notes, stopped_early, shared_notes)

@@ -5,6 +5,7 @@ import io
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -240,7 +241,7 @@ def _read(text: str) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def test_relocation_stands_beside_refinement() -> None:
+def test_relocation_stands_beside_refinement(tmp_path: Path) -> None:
     given = joint_62(formulation="fixed", nodes=100, energy_initial_audited=-1.0, energy_audited=-1.0)
     moved = joint_62(nodes=100, energy_initial_audited=-1.0, energy_audited=-1.2, wall_time_s=10.0)
     finer = {**given, "n": "f", "nodes": 400, "energy_audited": -1.4, "wall_time_s": 1.0}
@@ -251,6 +252,8 @@ def test_relocation_stands_beside_refinement() -> None:
     worse, finest = {**moved, "energy_audited": -1.1}, {**finer, "nodes": 1600, "energy_audited": -1.5}
     (note,) = refinement_notes([finest, worse, finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
+    results = [Results(tmp_path).result(row) for row in (given, moved, finer)]
+    assert note in page(tmp_path, results, "", "")
     useless = {**moved, "energy_audited": -1.0 - 1e-15}
     assert gains(given, useless, finer) == [0, 0, pytest.approx(0.4)]
     assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
