@@ -247,5 +247,5 @@ def _lines(geo: Any, loop: list[Vertex]) -> list[int]:
 def _affordable(triangles: float) -> None:
     if triangles > LARGEST:
         raise BadInputError(
-            f"this would be a mesh of about {triangles:.0e} triangles, more than {LARGEST:.0e}"
+            f"this would be a mesh of about {triangles:.4g} triangles, more than {LARGEST:.0e}"
         )

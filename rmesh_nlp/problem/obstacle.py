@@ -258,7 +258,7 @@ class Obstacle:
             check_positive(radius=radius)
         pair = as_tuple(centre)
         is_place = len(pair) == 2 and is_finite([value for value in pair if is_number(value)])
-        require(is_place, "centre", "be finite", centre)
+        require(is_place, "centre", "be two finite numbers", centre)
         sign = -1.0 if inside else 1.0
         return cls.curve(boundary, partial(off_circle, centre, radius, sign), friction, coulomb)
 

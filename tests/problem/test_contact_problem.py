@@ -277,7 +277,7 @@ def test_interior_obstacle_and_friction() -> None:
         (lambda: Obstacle("a", gap="nodes"), "gap must be 'node' or 'edge', got 'nodes'"),
         (lambda: Obstacle.line("a", (0, 0), (0, 0)), "non-zero vector"),
         (lambda: Obstacle.circle("a", (0, 0), 0.0), "radius must be positive and finite, got 0.0"),
-        (lambda: Obstacle.circle("a", (0, np.inf), 1.0), "centre must be finite"),
+        (lambda: Obstacle.circle("a", (0, np.inf), 1.0), "centre must be two finite numbers"),
     ],
 )
 def test_bad_obstacles_are_named(make: Callable, message: str) -> None:
