@@ -117,7 +117,7 @@ def triangulated(file: FileMesh, pairs: Collection[tuple[str, str]] = ()) -> Mes
 
 def _plane(points: Array, corners: Index) -> tuple[Array, list[str]]:
     """Coordinates (n, 2) in the plane of two axes in which the corners lie, and what was turned."""
-    extent = np.ptp(points[corners], axis=0)
+    extent = np.ptp(np.nan_to_num(points[corners]), axis=0)
     flat = np.flatnonzero(extent <= SEVEN_DIGITS * np.max(extent))
     if len(extent) == 2:
         return points, []

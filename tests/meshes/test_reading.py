@@ -108,6 +108,7 @@ OLD += "$Elements\n1\n1 2 0 1 2 3\n$EndElements\n"
         ("a.msh", "$MeshFormat\n4 0 8\n$EndMeshFormat\n", "is damaged or ends early"),
         ("a.msh", "$MeshFormat\n4 1 8\n\1\0\0\0\n$EndMeshFormat\n", "gmsh OLD.msh -save -format msh41"),
         ("a.msh", OLD.replace("0 0 0\n2", "0 0\n2"), "cannot be read: "),
+        ("a.msh", OLD.replace("2 1 0 0", "2 nan 0 0"), "node 1 is at (nan, 0.0)"),
         ("a.msh", OLD.replace("1 2 0 1 2 3", "1 2 0 1 2 9"), "the node 9 of an element is missing"),
         ("a.msh", OLD.replace("1 2 0 1 2 3", "1 2 7 1 2 3"), "cannot be read: "),
         ("a.msh", OLD.replace("1 2 0 1 2 3", "1 4 0 1 2 3"), "has elements of gmsh's type 4: only points"),
