@@ -1,9 +1,11 @@
 """h-adaptive refinement until the estimated errors of quantities are below an accuracy.
 
 Each mesh is solved, the errors are estimated (:mod:`rmesh_nlp.certificate.estimates`), and the triangles that
-add most to those above the accuracy are bisected: as many as have ``BULK`` of the sum [1]_. Where contact
-ends they are bisected once more, and alone before the end where the place of that end is more than a third of
-the error: what it is worth in a force falls like the square of the edges, and is known roughly.
+add most to those above the accuracy are bisected: as many as have ``BULK`` of the sum [1]_. Around one node,
+such as the end of a crack, where the error goes like the edges, they are halved as often as it takes at once.
+Where contact ends they are bisected once more, and alone before the end where the place of that end is more
+than a third of the error: what it is worth in a force falls like the square of the edges, and is known
+roughly.
 
 References
 ----------
@@ -51,6 +53,10 @@ from rmesh_nlp.solving.summary import estimate_in_words
 
 BULK = 0.6
 """Share of the indicators in the triangles that are refined."""
+
+FEW = 0.02
+"""Part of the triangles below which those that are refined, if about one node, are at a corner or a crack's
+end."""
 
 FIRST = 0.05
 """Part of the accuracy that the estimate on the first mesh must meet, which no other mesh confirms. On random
@@ -121,13 +127,12 @@ class Adaptive(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         wanted, meshes = self.quantities or unknown(outer.problem), list[Any]()
         sequence = list[list[Estimate]]()
-        told = of_contact(outer.problem, "resultant", "peak", "contact_length")
-        every = tuple(dict.fromkeys(wanted + (ENERGY,) * self.guaranteed + told))
+        every = wanted + (ENERGY,) * self.guaranteed
+        every = tuple(dict.fromkeys(every + of_contact(outer.problem, "resultant", "peak", "contact_length")))
         # the square of the energy norm is twice an energy; of its bounds all of the width counts
         energy = self.accuracy**2 / (1 + self.guaranteed)
         parts = np.array([energy if text == ENERGY else self.accuracy for text in wanted])
         reached = Outcome(outer, np.zeros(outer.n), Status.STALLED)
-        has_ends = bool(told) and not self.guaranteed
 
         def refine() -> None:
             nonlocal reached
@@ -170,7 +175,7 @@ class Adaptive(Wrapper):
                 monitor.note(Step(number, on.state.energy, 0.0, 0.0, np.nan, number + 1, seconds, said=said))
                 places = on.ends(any(one.touching for one in likely))  # peaks are anywhere in contact
                 is_doubted = places.size > 0 and any(one.doubt > one.error / 3 for one in likely)
-                only_ends = worst <= 1 and is_doubted and has_ends and not only_ends
+                only_ends = worst <= 1 and is_doubted and not (self.guaranteed or only_ends)
                 if worst <= 1 and not only_ends:
                     if grow := [text for text in wanted if not figures[text]["converges"]]:
                         raise NotCertifiableError(f"{grow[0]} may have no limit on finer meshes")
@@ -186,8 +191,11 @@ class Adaptive(Wrapper):
                     most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
                     problem = outer.problem
                     finer = problem.mesh if only_ends else bisected(problem, problem.mesh, most)
-                    if has_ends:
-                        near = cKDTree(finer.p.T).query(places.T)[1]
+                    halved = [cKDTree(finer.p.T).query(places.T)[1]] * (not self.guaranteed)
+                    around = np.bincount(problem.mesh.t.ravel(), np.tile(adds, 3))
+                    if most.size < FEW * adds.size and np.max(around) > BULK * share[-1]:
+                        halved += [np.argmax(around)] * int(np.log2(np.clip(worst, 1, 64)))
+                    for near in halved:
                         finer = bisected(problem, finer, np.nonzero(np.isin(finer.t, near))[1])
                     is_known = number > 1 and nodes > LARGEST / 100  # that it narrows about like 1 / nodes
                     narrowing = nodes * worst if self.guaranteed and is_known else 0

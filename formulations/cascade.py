@@ -126,10 +126,9 @@ class Cascade(Formulation):
                         outer if problem is outer.problem else Outer.of(problem, tolerance=outer.tolerance)
                     )
                 first, solves = budget.iterations, monitor.spent.contact_solves
-                if ends:
-                    outcome = self._corrected(level, ends[-1], monitor)
-                else:
-                    outcome = self._searched(level, monitor)
+                outcome = (
+                    self._corrected(level, ends[-1], monitor) if ends else self._searched(level, monitor)
+                )
                 if outcome.outer.gain is None:  # stopped before there was a map
                     return
                 ends.append(outcome)

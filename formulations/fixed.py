@@ -44,9 +44,8 @@ class Fixed(Formulation):
     def _solved(self, outer: Outer, monitor: Monitor) -> Equilibrium:
         state = active_set.solve(outer.contact.given_system)
         monitor.work += Work(1, 1, state.iterations)
-        nan, seconds = float("nan"), monitor.budget.elapsed
-        step = Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds, energy_given=state.energy)
-        monitor.note(step)
+        energy, seconds = state.energy, monitor.budget.elapsed
+        monitor.note(Step(state.iterations, energy, 0.0, 0.0, np.nan, 1, seconds, energy_given=energy))
         return state
 
 

@@ -124,18 +124,23 @@ class AllAtOnce(Formulation):
             program = outer.kkt if at_start else in_units_of(outer.discretisation, outer.objective, point)
         track = monitor.track(outer, program.value)
         if is_energy:
-            track.residual = lambda x: outer.residual.of_state(*_state(program, x))
+
+            def residual(x: Array) -> float:
+                at, u, normal, tangential = program.split(x)
+                return outer.residual.of_state(at, u, normal, tangential[program.parts.friction_rows])
+
+            track.residual = residual
         x = program.point(point)
         own = _options(outer, program.value / pull(outer.function(q).gradient))
         # where relocation changes the objective by little its multipliers are small in units of the model
         zero = min(Options.stationarity, outer.tolerance * outer.residual.unit / program.value)
         with monitor.budget.during("build"):
-            options = {"relaxation": self.relaxation, "stationarity": zero, **OPTIONS, **own, **self.options}
+            relaxation = {"relaxation": self.relaxation}
+            options = {**relaxation, "stationarity": zero, **OPTIONS, **own, **self.options}
             solver = MPCCSolver(program.mpcc, **options)
         result = solver(x, on_iteration=track.iterate, budget=monitor.budget.share(most))
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.budget.check()
-        relaxation = {"relaxation": self.relaxation}
         if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=relaxation)
         end, *state = program.split(result.x)
@@ -185,12 +190,6 @@ def _options(outer: Outer, scaling: float) -> Values:
     first = {**COMMON, "obj_scaling_factor": scaling, "tol": 1e-4, **slow}
     later = {"mu_strategy": "adaptive", "tol": 1e-8}
     return {"ipopt_relaxed": first, "ipopt_warm": later, "ipopt_exact": end}
-
-
-def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
-    """Outer variables, displacement, and normal and tangential forces where there is friction."""
-    q, u, normal, tangential = program.split(x)
-    return q, u, normal, tangential[program.parts.friction_rows]
 
 
 STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")

@@ -54,10 +54,11 @@ class Nested(NestedSettings, Formulation):
         def watch(iteration: int, at: Array) -> bool:
             nonlocal why
             point = outer.function(at)
-            over = track.exact(iteration, at, point)
+            over, (times, rest) = track.exact(iteration, at, point), divmod(iteration, AUDITED)
+            is_due = rest == 0 and times.bit_count() == 1
             if may_creep and creeps(point, *outer.merit(point)):
                 why = "stopped as hardly anything is gained"
-            elif may_creep and outer.objective.is_energy and _is_due(iteration):
+            elif may_creep and outer.objective.is_energy and is_due:
                 monitor.work += Work(contact_solves=1)
                 if outer.continuous(at).energy >= outer.initial.energy:
                     why = "stopped as an error of the discretisation was minimised"
@@ -84,11 +85,6 @@ class Nested(NestedSettings, Formulation):
         return Outcome(outer, end, status, details={"outer": method, "biactive_nodes": weak.tolist()})
 
 
-def _is_due(iteration: int) -> bool:
-    times, rest = divmod(iteration, AUDITED)
-    return rest == 0 and times.bit_count() == 1
-
-
 class Creeping:
     """Tells that a descent does not get on; where there are kinks, that it goes to and fro over them."""
 
@@ -107,7 +103,7 @@ class Creeping:
         if len(self._best) <= self._window or (self._is_kinked and len(set(self._contact)) == 1):
             return False
         # what counts before constraints hold is their violation, then the objective
-        which = 0 if self._best[-1 - self._window][0] > 0 else 1
+        before, now = self._best[-1 - self._window], self._best[-1]
+        which = 0 if before[0] > 0 else 1
         first = next(best[1] for best in self._best if best[0] == 0) if which else self._best[0][0]
-        before, now = self._best[-1 - self._window][which], self._best[-1][which]
-        return before - now <= CREEPING * (first - now)
+        return before[which] - now[which] <= CREEPING * (first - now[which])

@@ -37,8 +37,7 @@ class Remeshed(Wrapper):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        whole = isinstance(self.nodes, int) and not isinstance(self.nodes, bool)
-        if self.nodes is not True and not (whole and 3 <= self.nodes <= LARGEST):
+        if self.nodes is not True and not (isinstance(self.nodes, int) and 3 <= self.nodes <= LARGEST):
             said = f"remesh must be true or a number of nodes from 3 to {LARGEST}"
             raise BadInputError(f"{said}, got {self.nodes!r}")
 

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +67,10 @@ RESULTS = {
     "resultant": "normal_force",
     "pressure": "",
     "peak": "peak_pressure",
-    **{name: name for name in ("contact_length", "force_x", "force_y", "moment")},
+    "contact_length": "contact_length",
+    "force_x": "force_x",
+    "force_y": "force_y",
+    "moment": "moment",
 }
 """Quantities that are results of a contact boundary, by the names of these."""
 
@@ -322,8 +325,8 @@ def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """Estimates by a field in equilibrium; a NotCertifiableError where none is known."""
     problem, state = on.problem, on.state
-    turns = any(part.level is not None for part in problem.obstacles)
-    if problem.motion.curves or problem.axisymmetric or turns:
+    turning = (part.level is not None for part in problem.obstacles)
+    if problem.motion.curves or problem.axisymmetric or any(turning):
         raise NotCertifiableError(
             "body or foundation are curved, or r times a stress of a displacement is no polynomial"
         )
@@ -363,7 +366,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         own = of_displacement(fields.element, fields.law, skeleton, w)
         other -= own
         pressing = system.normals @ (system.stiffness @ traces[free] - push)
-        closing = pressing @ np.where(solved.active.touching, system.offset, 0.0)  # computed gaps
+        closing = (pressing * solved.active.touching) @ system.offset  # computed gaps
         beyond = 0.0
         if part is None:
             products = fields.energy(correction + other) - fields.energy(correction - other)
@@ -389,26 +392,29 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """By the solution of order 2 on the same mesh, of one that has this order on the mesh refined once."""
     problem = on.problem
-    mesh = relocated_mesh(problem.mesh, on.nodes)
-    raised = replace(problem, mesh=mesh, reference=None, order=2)
-    richer = raised if problem.order == 1 else refined(raised)
+    raised = replace(problem, mesh=relocated_mesh(problem.mesh, on.nodes), reference=None, order=2)
+    richer, times = (raised, 1) if problem.order == 1 else (refined(raised), LEFT)
     finer = OnMesh.of(on.solver(richer))
 
-    def norms(fine: Array, coarse: Array) -> Array:
+    def lacking(fine: Array, coarse: Array) -> Array:
         # vertices of the mesh refined once are the nodes of order 2
         same = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
-        return np.sqrt(strain_energies(richer, finer.nodes, finer.space.values(fine - same)))
+        return finer.space.values(fine - same)
 
-    defect, times = norms(finer.u, on.u), 1 if problem.order == 1 else LEFT
+    energies = partial(strain_energies, richer, finer.nodes)
+    defect = lacking(finer.u, on.u)
+    own = energies(defect)
 
     def estimate(text: str) -> Estimate:
-        coarse, fine = _quantity(text, on), _quantity(text, finer)
-        products = defect * (defect if coarse.dual is on.u else norms(fine.dual, coarse.dual))
-        local = np.reshape(products, (-1, problem.mesh.nelements)).sum(axis=0)
-        error = times * abs(fine.value - coarse.value)
-        if text != ENERGY:  # what cancels here need not on finer meshes; else the rate is not known
-            error = np.nan if coarse.dual is on.u else max(error, np.sum(local))
-        count = on.ends(True).shape[1] * np.isnan(error)
-        return Estimate(fine.value, error, coarse.value, local, touching=count)
+        coarse, fine, work, touching = _quantity(text, on), _quantity(text, finer), own, 0
+        if coarse.dual is not on.u:
+            other = lacking(fine.dual, coarse.dual)
+            work = (energies(defect + other) - energies(defect - other)) / 4
+        local = np.abs(np.sum(np.reshape(work, (-1, problem.mesh.nelements)), axis=0))
+        # of what has both signs half the sum counts: what cancels here need not on finer meshes
+        error = max(times * abs(fine.value - coarse.value), np.sum(local))
+        if work is own and text != ENERGY:
+            error, touching = np.nan, on.ends(True).shape[1]  # the rate is not known
+        return Estimate(fine.value, error, coarse.value, local, touching=touching)
 
     return [estimate(text) for text in texts]

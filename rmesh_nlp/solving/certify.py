@@ -148,7 +148,26 @@ def bounded(
     if ENERGY in quantities:
         bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
     bounds |= {text: _load_bounds(exact, after, more, refinements) for text, more in under.items()}
-    return _certificate(before, after, why, bounds)
+    # half the square of the admissible displacement's error is at most the gap between the bounds
+    errors = [float(np.sqrt(2 * each.gap)) + each.distance for each in (before, after)]
+    return Certificate(
+        lower=after.lower,
+        upper=after.upper,
+        gaps=(before.gap, after.gap),
+        error_bound_initial=errors[0],
+        error_bound=errors[1],
+        relative_initial=errors[0] / max(before.norm, 1e-300),
+        relative=errors[1] / max(after.norm, 1e-300),
+        guaranteed_lower=not after.lower_faults,
+        guaranteed_upper=not after.upper_faults,
+        guaranteed_initial=not before.why,
+        why="; ".join(dict.fromkeys(why)),
+        local=after.local,
+        local_initial=before.local,
+        field=after.field,
+        residual=max(after.residual, before.residual),
+        bounds=bounds,
+    )
 
 
 def _on_polygon(state: State, continuous: Admissible) -> Admissible:
@@ -235,31 +254,6 @@ def _load_bounds(
     bend = float(push[free] @ bent)
     low, high = slope_bounds(upper, -known.upper, gap, bend, flat)
     return Bounds(low, value, high, not known.why)
-
-
-def _certificate(
-    before: Bracket, after: Bracket, why: tuple[str, ...], bounds: dict[str, Bounds]
-) -> Certificate:
-    # half the square of the admissible displacement's error is at most the gap between the bounds
-    errors = [float(np.sqrt(2 * each.gap)) + each.distance for each in (before, after)]
-    return Certificate(
-        lower=after.lower,
-        upper=after.upper,
-        gaps=(before.gap, after.gap),
-        error_bound_initial=errors[0],
-        error_bound=errors[1],
-        relative_initial=errors[0] / max(before.norm, 1e-300),
-        relative=errors[1] / max(after.norm, 1e-300),
-        guaranteed_lower=not after.lower_faults,
-        guaranteed_upper=not after.upper_faults,
-        guaranteed_initial=not before.why,
-        why="; ".join(dict.fromkeys(why)),
-        local=after.local,
-        local_initial=before.local,
-        field=after.field,
-        residual=max(after.residual, before.residual),
-        bounds=bounds,
-    )
 
 
 def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:

@@ -69,3 +69,13 @@ def test_the_pin_presses_on_its_lug_with_half_of_what_pulls_it() -> None:
 def test_the_crack_of_the_laminate_slides() -> None:
     contact = rm.solve(rm.read_problem(PARTS / "laminate.toml"), "fixed", audit=False).contact["crack"]
     assert contact["tangential_force"] == pytest.approx(-0.3 * contact["normal_force"], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_end_of_the_laminates_crack_is_refined_at_once() -> None:
+    solution = rm.solve(rm.read_problem(PARTS / "laminate.toml"), accuracy=0.01, audit=False)
+    first, *finer = (mesh["quantities"]["resultant(crack)"] for mesh in solution.details["meshes"])
+    truth = 7.576  # refined to 19,425 vertices, extrapolated
+    assert first["error"] == pytest.approx(truth - first["computed"], rel=0.7)
+    assert finer[-1]["value"] == pytest.approx(truth, rel=0.01)
+    assert len(finer) < 3
