@@ -122,8 +122,8 @@ def _plane(points: Array, corners: Index) -> tuple[Array, list[str]]:
     if len(extent) == 2:
         return points, []
     if flat.size == 0:
-        low, high = points[corners, 2].min(), points[corners, 2].max()
-        raise BadInputError(f"is not plane: z runs from {low} to {high}; turn it into the x-y plane")
+        z = points[corners, 2]
+        raise BadInputError(f"is not plane: z runs from {z.min()} to {z.max()}; turn it into the x-y plane")
     points, plane = np.delete(points, flat[-1], axis=1), "-".join(np.delete(list("xyz"), flat[-1]))
     return points, [] if flat[-1] == 2 else [f"its {plane} plane is taken as the x-y plane"]
 

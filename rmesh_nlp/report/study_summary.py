@@ -151,8 +151,8 @@ def _range(values: pd.Series, form: str) -> str:
 def study_notes(records: Records) -> list[str]:
     """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
-    notes = [f"{refused} solves were refused, since the formulation does not take the objective."]
-    return [*(notes if refused else []), *shared_notes(records)]
+    said = f"{refused} solves were refused, since the formulation does not take the objective."
+    return [said] * (refused > 0) + shared_notes(records)
 
 
 def charts(results: Sequence[Result]) -> list[Chart]:

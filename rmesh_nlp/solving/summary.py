@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure, within_in_words
 from rmesh_nlp.evaluation import ROUNDING, difference
@@ -116,7 +116,7 @@ def estimate_in_words(of: ByName) -> str:
 
 def mesh_table(meshes: Sequence[ByName]) -> Table:
     """Quantities with their estimated errors, a row for each mesh."""
-    table = Table("nodes", "seconds", *meshes[0]["quantities"])
+    table = Table("nodes", "seconds", *(Column(text, overflow="fold") for text in meshes[0]["quantities"]))
     for mesh in meshes:
         said = (
             f"{of['value']:.6g} +- {of['error']:.2g}".replace(" +- nan", "")

@@ -142,6 +142,7 @@ def test_command_prints_estimates_and_a_row_for_each_mesh(
     record = json.loads((out / "record.json").read_text())
     assert "estimated" in said
     assert re.search(r"│ 85 +│", said)
+    assert "…" not in said
     assert record["estimates"]["mean(top, -uy)"]["value"] == pytest.approx(0.07185, rel=0.01)
 
 
