@@ -44,8 +44,10 @@ class Fixed(Formulation):
     def _solved(self, outer: Outer, monitor: Monitor) -> Equilibrium:
         state = active_set.solve(outer.contact.given_system)
         monitor.work += Work(1, 1, state.iterations)
-        energy, seconds = state.energy, monitor.budget.elapsed
-        monitor.note(Step(state.iterations, energy, 0.0, 0.0, np.nan, 1, seconds, energy_given=energy))
+        energy = state.energy
+        monitor.note(
+            Step(state.iterations, energy, 0.0, 0.0, np.nan, 1, monitor.budget.elapsed, energy_given=energy)
+        )
         return state
 
 

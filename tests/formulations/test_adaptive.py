@@ -110,7 +110,10 @@ def test_quantity_without_a_limit_is_no_success(body: rm.ContactProblem) -> None
     for problem, patch in ((replace(body, order=1), True), (replace(rising, order=1), False)):
         with pytest.MonkeyPatch.context() as patched:
             if patch:
-                patched.setattr("formulations.adaptive.estimates", lambda *_: [growing.pop(0)] * 3)
+                patched.setattr(
+                    "formulations.adaptive.estimates",
+                    lambda on, _: [growing.pop(0)._replace(local=0.0 * on.problem.mesh.t[0] + 1)] * 3,
+                )
             solution = rm.solve(problem, accuracy=0.5, quantities="peak(bottom)", own_order=True)
         assert solution.status is rm.Status.STALLED
         assert not solution.success
