@@ -21,6 +21,13 @@ Values = dict[str, Any]
 S = TypeVar("S", bound="Settings")
 
 
+def real(name: str, value: Any) -> float:
+    """A real number of any type, or an array without dimensions, as a float; a BadInputError for all else."""
+    one = value.item() if getattr(value, "shape", None) == () else value
+    require(isinstance(one, Real) and not isinstance(one, bool), name, "be a number", value)
+    return float(one)
+
+
 @dataclass(frozen=True)
 class Number:
     """What a number may be: finite, above ``above`` and below ``below``.
@@ -198,8 +205,7 @@ def _check(name: str, value: Any, kind: Any) -> None:
         require(isinstance(value, kind), name, "be settings of the method, or a mapping", value)
 
 
-def check_positive(**values: float | None) -> None:
-    """Raise a BadInputError for a value that is not positive and finite; None stands for a default."""
+def check_positive(**values: float) -> None:
+    """Raise a BadInputError for a value that is not positive and finite."""
     for name, value in values.items():
-        if value is not None:
-            Number().check(name, value)
+        Number().check(name, value)

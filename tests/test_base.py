@@ -48,7 +48,7 @@ def test_numbers_of_settings(number: Number, taken: list, refused: list, message
         with pytest.raises(BadInputError, match=f"it must be {message}, got ") as caught:
             number.check("it", value)
         assert str(caught.value).endswith(repr(value))
-    check_positive(a=None, b=1)
+    check_positive(a=1e-9, b=1)
 
 
 def test_unknown_names_come_with_the_nearest() -> None:

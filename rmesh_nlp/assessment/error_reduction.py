@@ -19,6 +19,7 @@ from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import difference
+from rmesh_nlp.meshes.curves import Two
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.contact_problem import refined
@@ -49,8 +50,8 @@ SOURCES = {
 class ErrorReduction:
     """Errors of the energy before and after a relocation."""
 
-    error_initial: tuple[float, float]  # lower and upper bound
-    error: tuple[float, float]
+    error_initial: Two  # lower and upper bound
+    error: Two
     factor: float  # by which the error fell at least
     factor_upper: float  # and at most
     source: str  # one of ``SOURCES``
@@ -107,7 +108,7 @@ def error_reduction(
     return reduction, finest
 
 
-def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | None]:
+def _bounds(last: Admissible) -> tuple[Two | None, Admissible | None]:
     """Lower and upper bound of the error of the energy; the admissible displacement on the finest mesh."""
     finest, falls = last, []
     if last.problem.locking:

@@ -148,8 +148,8 @@ def check_load(system: ContactSystem, problem: ProblemData) -> None:
 
 
 def check_unique(system: ContactSystem, state: Equilibrium, problem: ProblemData) -> None:
-    """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion."""
-    if system.rigid is None:
+    """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion, once solved."""
+    if system.rigid is None or state.status is not Status.CONVERGED:
         return
     length = magnitude(system.offset) + magnitude(state.u)
     rounding = 1e-12 * length * np.max(system.stiffness.diagonal(), initial=0.0)

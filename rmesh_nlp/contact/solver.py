@@ -24,12 +24,15 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.design import at_design
 
-NO_DESIGN: Mapping[str, float] = {}
+Design = Mapping[str, float]
+"""Values of design variables by their names."""
+
+NO_DESIGN: Design = {}
 """Of a problem without design variables."""
 
 
 def contact_rows(
-    parts: Discretisation, nodes: Array, at: Mapping[str, float] = NO_DESIGN
+    parts: Discretisation, nodes: Array, at: Design = NO_DESIGN
 ) -> tuple[sp.csr_array, sp.csr_array, Array]:
     """Sparse rows (gaps, n_u) of normals and tangents, and normal displacements (gaps,) that are given.
 
@@ -41,9 +44,7 @@ def contact_rows(
     return normals[:, free], tangents[:, free], normals @ given.ravel()
 
 
-def _rows(
-    parts: Discretisation, nodes: Array, at: Mapping[str, float], *, along: bool = False
-) -> sp.csr_array:
+def _rows(parts: Discretisation, nodes: Array, at: Design, *, along: bool = False) -> sp.csr_array:
     """Rows for all displacement components, those of x first, as :func:`edge_gaps.directions`."""
     (components, n), entries, space = parts.displacement.shape, [np.zeros((3, 0))], parts.space
     for part in space.contact_sets:
@@ -61,7 +62,7 @@ def _rows(
     return summed(values, row.astype(np.int32), column.astype(np.int32), (parts.n_contact, components * n))
 
 
-def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:
+def coefficients(space: DisplacementSpace, nodes: Array, at: Design = NO_DESIGN) -> Array | None:
     """(gaps,) Coulomb's coefficients at vertex positions (2, vertices) and a design; None where none is."""
     if space.problem.has_energy:
         return None

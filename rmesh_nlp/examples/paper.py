@@ -16,6 +16,7 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError, require, unknown
 from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.meshes.curves import Two
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -29,13 +30,12 @@ from rmesh_nlp.problem import (
     Traction,
     Units,
 )
-from rmesh_nlp.problem.coefficients import POSITION
-from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.problem.coefficients import POSITION, as_tuple
 
 Size = int | tuple[int, int] | str
 """``8``, ``(12, 6)`` or ``"12x6"``, columns by rows."""
 
-Delta = float | tuple[float, float] | str
+Delta = float | Two | str
 """``0.02``, ``(0.02, 0.01)``, ``"0.02,0.01"`` along x and y, or ``"none"``."""
 
 
@@ -48,7 +48,7 @@ class PaperValues:
     """
 
     size: tuple[int, int]
-    delta: tuple[float, float]
+    delta: Two
     energy_initial: float
     energy_final: float
     u_min_initial: float | None = None
@@ -154,7 +154,7 @@ def _elastic(
     delta: Delta | None,
     order: int,
     bottom: float,
-    traction: tuple[float, float],
+    traction: Two,
     friction: float,
 ) -> ContactProblem:
     nx, ny = as_size(n)
@@ -217,7 +217,7 @@ def as_size(n: Size) -> tuple[int, int]:
     return int(pair[0]), int(pair[-1])
 
 
-def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float, float] | None:
+def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> Two | None:
     if delta == "none":
         return None
     paper = PAPER[name]

@@ -18,11 +18,10 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, largest_side
 from rmesh_nlp.fem.contact_terms import given_gaps
 from rmesh_nlp.fem.fields import ElementGroup, Fields
-from rmesh_nlp.fem.functional import Functional, as_row
+from rmesh_nlp.fem.functional import Functional, Groups, as_row
 from rmesh_nlp.fem.objective_text import called, parse_objective
 from rmesh_nlp.fem.pressure import LARGEST, contact_on, vertex_groups
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import Constraint, at_design
 
 MARGIN = 1e-6
@@ -56,12 +55,12 @@ class ConstraintRows:
         return self.lower.size
 
     @property
-    def sums(self) -> tuple[list[ElementGroup], ...]:
+    def sums(self) -> tuple[Groups, ...]:
         """The sums that values are functions of, one value after the other."""
         return tuple(groups for value in self.values for groups in value.sums)
 
     @property
-    def groups(self) -> list[ElementGroup]:
+    def groups(self) -> Groups:
         """What adds to the rows, without functions of ``sums``."""
         first = [as_row(group, k) for k, value in enumerate(self.values) for group in value.groups]
         return [*first, *self.nodal]
@@ -70,7 +69,7 @@ class ConstraintRows:
 def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> ConstraintRows:
     """The rows of constraints on these fields; a ValueError where one does not suit the problem."""
     values: list[Functional] = []
-    nodal: list[ElementGroup] = []
+    nodal: Groups = []
     limits, places = list[tuple[float, ...]](), dict[int, slice]()
     boundaries = dict(enumerate(map(boundary_of, constraints)))
     for number in sorted(boundaries, key=lambda number: boundaries[number] is not None):
@@ -107,7 +106,7 @@ def is_constrained(problem: ContactProblem) -> bool:
     return bool(problem.constraints or given)
 
 
-def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], Array, float]:
+def _given_gaps(fields: Fields, first: int) -> tuple[Groups, Array, float]:
     """The gaps that a design changes and displacements do not, their first values, and their unit."""
     problem = fields.problem
     unit = largest_side(problem.mesh.p)
@@ -133,10 +132,10 @@ def unit_of(constraint: Constraint) -> float:
     return max(finite) or 1.0
 
 
-def _pressure_rows(fields: Fields, boundary: str, level: float | ca.SX, first: int) -> list[ElementGroup]:
+def _pressure_rows(fields: Fields, boundary: str, level: float | ca.SX, first: int) -> Groups:
     """Rows ``F_v - P omega_v`` numbered from ``first``."""
     space = fields.space
-    size = float(level if is_number(level) else at_design(level, space.problem.start))
+    size = at_design(level, space.problem.start)
     weights = space.weights(space.problem.mesh.p)[contact_on(space, boundary).rows]
     unit = np.mean(weights) * (abs(size) or 1.0)
     return vertex_groups(fields, boundary, lambda share, force: (force - level * share) / unit, first)

@@ -22,6 +22,7 @@ from rmesh_nlp.fem.cells import Cell, Straight
 from rmesh_nlp.fem.edge_gaps import directions, displaced, edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
+from rmesh_nlp.fem.functional import Groups
 from rmesh_nlp.fem.pieces import piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Obstacle, at
@@ -92,9 +93,9 @@ def force_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Func
     return ca.Function("contact_force", used, [0, rows], OPEN)
 
 
-def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
+def gaps(on: Fields, first_row: int = 0) -> Groups:
     """One constraint row per contact node and obstacle: its gap."""
-    groups: list[ElementGroup] = []
+    groups: Groups = []
     for part in on.space.contact_sets:
         rows = first_row + part.rows
         if holds_along_edges(on.problem, part.obstacle):
@@ -107,7 +108,7 @@ def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
     return groups
 
 
-def given_gaps(on: Fields, first_row: int) -> list[ElementGroup]:
+def given_gaps(on: Fields, first_row: int) -> Groups:
     """The gaps of contact nodes whose displacement is given.
 
     On a mesh as given they are a matter of the problem; designs change them.
@@ -123,19 +124,19 @@ def given_gaps(on: Fields, first_row: int) -> list[ElementGroup]:
     return groups
 
 
-def friction(on: Fields) -> list[ElementGroup]:
+def friction(on: Fields) -> Groups:
     """Friction energy."""
     rough = [part for part, _ in _frictional(on.space) if part.obstacle.friction_law.has_given]
     return [group for part in rough for group in bounds(on, part, part.obstacle.friction_law.given, on.slip)]
 
 
-def bounds(on: Fields, part: ContactSet, bound: Coefficient, values: Field) -> list[ElementGroup]:
+def bounds(on: Fields, part: ContactSet, bound: Coefficient, values: Field) -> Groups:
     """The integral over a contact set of ``bound`` times ``values`` (obstacles, nodes)."""
     own, edges = values.component(part.number), on.edges(str(part.obstacle.boundary), 1)
     return [on.group(friction_energy(bound, edge), [place, own.at(nodes)]) for edge, place, nodes in edges]
 
 
-def slips(on: Fields, first_row: int = 0) -> list[ElementGroup]:
+def slips(on: Fields, first_row: int = 0) -> Groups:
     """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``."""
     groups, n_s = [], np.count_nonzero(on.space.frictional)
     for part, numbers in _frictional(on.space):
@@ -189,7 +190,7 @@ def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup
     )
 
 
-def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
+def contact_force_groups(on: Fields, rows: Index) -> Groups:
     """Rows ``-lambda n + (mu- - mu+) t`` of the equilibrium at contact nodes.
 
     ``rows`` is (components, nodes): the row of each displacement unknown.
@@ -213,7 +214,7 @@ def bound_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     return ca.Function("bound_force", [ca.vec(X), pressure, minus, plus], [0, value], OPEN)
 
 
-def bound_force_groups(on: Fields, first_row: int) -> list[ElementGroup]:
+def bound_force_groups(on: Fields, first_row: int) -> Groups:
     """Rows ``F lambda - mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
     assert on.forces is not None
     groups = []

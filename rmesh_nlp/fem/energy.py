@@ -15,7 +15,8 @@ from rmesh_nlp.evaluation import Index
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.cells import Blended, Cell, Straight, shape_functions
 from rmesh_nlp.fem.element import NO_ROWS, PointSums, vector
-from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields
+from rmesh_nlp.fem.fields import NONE, Field, Fields
+from rmesh_nlp.fem.functional import Groups
 from rmesh_nlp.fem.pieces import cuts, piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
@@ -100,7 +101,7 @@ def point_energy(force: tuple[float, ...]) -> ca.Function:
     return ca.Function("point_energy", [u], [-ca.dot(ca.vertcat(*force), u), NO_ROWS], OPEN)
 
 
-def strain(on: Fields) -> list[ElementGroup]:
+def strain(on: Fields) -> Groups:
     """The strain energy, by region; beside a curve by curve."""
     groups = []
     for law, cell, local, vertices in _cells(on):
@@ -123,7 +124,7 @@ def _rules(problem: ContactProblem, vertices: Index) -> Iterator[tuple[int | str
         yield list(RATIONAL)[number], np.flatnonzero(first == number)
 
 
-def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
+def loads(on: Fields, rule: str | int) -> Groups:
     """Minus the work of source or body force, tractions, point loads and forces on tools."""
     groups = []
     for law, cell, local, _ in _cells(on):

@@ -22,8 +22,8 @@ from rmesh_nlp.fem.cells import Straight
 from rmesh_nlp.fem.contact_pressure import ends, may_slip
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, Field, Fields, Forces
-from rmesh_nlp.fem.functional import Functional
+from rmesh_nlp.fem.fields import Field, Fields, Forces
+from rmesh_nlp.fem.functional import Functional, Groups
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.problem.coefficients import OPEN
@@ -54,7 +54,7 @@ def resultant(boundary: str, *, name: str = "resultant") -> Objective:
     (:func:`rmesh_nlp.fem.contact_pressure.force_at_end`).
     """
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         part, normal = contact_on(on.space, boundary), ca.SX.sym("lambda")
         return _integral(on, part, part.nodes, [_forces_on(on, boundary).normal], normal, normal)
 
@@ -68,7 +68,7 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
     whose tangential displacement is given have no part in it.
     """
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         forces, part = _forces_on(on, boundary), contact_on(on.space, boundary)
         if not part.obstacle.friction_law:
             raise BadInputError(f"{name}: contact on {boundary!r} is without friction")
@@ -156,7 +156,7 @@ def peak_pressure(
     if not exponent >= 3:
         raise BadInputError(f"{name}: the exponent must be at least 3, got {exponent}")
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         length = on.space.extent(contact_edges(on.problem, contact_on(on.space, boundary).obstacle))
 
         def value(share: Expression, force: Expression) -> Expression:
@@ -169,7 +169,7 @@ def peak_pressure(
 
 def _integral(
     on: Fields, part: ContactSet, nodes: Index, forces: Sequence[Field], symbols: ca.SX, force: ca.SX
-) -> list[ElementGroup]:
+) -> Groups:
     """The sum of ``force(symbols)`` over contact nodes (n,), and of that at shared vertices.
 
     ``symbols`` are the values of ``forces`` at a node.
@@ -192,7 +192,7 @@ def _integral(
 
 def vertex_groups(
     on: Fields, boundary: str, value: Callable[[Expression, Expression], Expression], row: int | None = None
-) -> list[ElementGroup]:
+) -> Groups:
     """The sum of ``value(omega_v, F_v)`` over the vertices of a contact boundary; rows from ``row`` on."""
     part, groups = contact_on(on.space, boundary), []
     normal = _forces_on(on, boundary).normal.component(part.number)

@@ -22,9 +22,9 @@ from rmesh_nlp.errors import BadInputError, located
 from rmesh_nlp.evaluation import Expression, Index
 from rmesh_nlp.fem.cells import Density, Straight
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
+from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.fit import fit, fit_file
-from rmesh_nlp.fem.functional import Functional
+from rmesh_nlp.fem.functional import Functional, Groups
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.pressure import (
     contact_length,
@@ -60,7 +60,7 @@ __all__ = [
 
 def _integral(
     on: Fields, name: str, cells: Index, degree: int, density: Density, factor: float = 1.0
-) -> list[ElementGroup]:
+) -> Groups:
     def scalar(*arguments: Expression) -> Expression:
         return _scalar(density(*arguments), name)
 
@@ -89,7 +89,7 @@ def body_integral(
         Of the quadrature.
     """
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         triangles = on.problem.triangles
         if subdomain is not None:
             triangles = triangles[:, members_of("subdomain", subdomain, on.problem.mesh.subdomains)]
@@ -123,7 +123,7 @@ def boundary_integral(
         Of the quadrature.
     """
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         factor = 1 / boundary_length(on.problem, boundary) if mean else 1.0
         return _integral(on, name, outward_edges(on.problem, boundary), degree, density, factor)
 
@@ -151,7 +151,7 @@ def nodal(
     """
     chosen = np.asarray(nodes, dtype=np.int64).reshape(-1, 1)
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         n = on.problem.n_vertices
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
             raise BadInputError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
@@ -198,7 +198,7 @@ def at_point(
 def of_design(value: ca.SX, *, name: str = "design") -> Objective:
     """An expression of the symbols of design variables alone."""
 
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Groups:
         design = on.positions.design
         rest = substituted(value, on.problem.numbers if design is None else {})
         names = names_in(rest)

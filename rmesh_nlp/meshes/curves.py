@@ -28,6 +28,9 @@ from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 SAMPLES = 4000
 """Points of a curve among which the nearest to a node is looked for, before Newton's method."""
 
+Two = tuple[float, float]
+"""A point, or the ends of an interval."""
+
 Pair = tuple[ca.Function, ca.Function]
 
 
@@ -42,7 +45,7 @@ class Curve(ABC):
         Whether it goes on at the first point after the last one.
     """
 
-    interval: tuple[float, float]
+    interval: Two
     closed: bool
 
     @cached_property
@@ -120,7 +123,7 @@ def _slopes(functions: Pair) -> Pair:
 class Circle(Curve):
     """A circle; the parameter is the angle."""
 
-    centre: tuple[float, float]
+    centre: Two
     radius: float
 
     def __post_init__(self) -> None:
@@ -152,7 +155,7 @@ class Spline(Curve):
         Whether it ends where it begins.
     """
 
-    points: tuple[tuple[float, float], ...]
+    points: tuple[Two, ...]
     closed: bool = False
 
     def __post_init__(self) -> None:
@@ -167,7 +170,7 @@ class Spline(Curve):
         return np.vstack([p, p[:1]]) if self.closed else p
 
     @cached_property
-    def interval(self) -> tuple[float, float]:  # type: ignore[override]
+    def interval(self) -> Two:  # type: ignore[override]
         """Parameters of its ends."""
         return float(self._knots[0]), float(self._knots[-1])
 
@@ -210,7 +213,7 @@ class Parametrised(Curve):
 
     x: Callable[[Any], Any]
     y: Callable[[Any], Any]
-    interval: tuple[float, float]
+    interval: Two
     closed: bool = False
 
     def __post_init__(self) -> None:

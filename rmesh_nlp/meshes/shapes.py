@@ -16,11 +16,11 @@ from skfem import MeshTri
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, is_finite, is_pair
 from rmesh_nlp.meshes.arrays import from_arrays
+from rmesh_nlp.meshes.curves import Two
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.settings import Number, check_positive
 
-Point = tuple[float, float]
-Vertex = tuple[Point, float, Point | None]
+Vertex = tuple[Two, float, Two | None]
 """A place, the length of edges there, and the centre of the arc to the next one (None: a line)."""
 
 DIAGONALS = ("rising", "falling")
@@ -33,8 +33,8 @@ def rectangle(
     nx: int,
     ny: int,
     *,
-    x: tuple[float, float] = (0.0, 1.0),
-    y: tuple[float, float] = (0.0, 1.0),
+    x: Two = (0.0, 1.0),
+    y: Two = (0.0, 1.0),
     diagonal: str = "rising",
 ) -> MeshTri:
     """A rectangle of cells of two triangles, with boundaries ``left``, ``right``, ``bottom``, ``top``.
@@ -160,7 +160,7 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     return polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
 
 
-def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | None = None) -> MeshTri:
+def polygon(points: list[Two], h: float, boundaries: dict[str, list[int]] | None = None) -> MeshTri:
     """A simple polygon, meshed by gmsh.
 
     Parameters

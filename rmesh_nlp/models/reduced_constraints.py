@@ -12,7 +12,6 @@ from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.models.kkt_point import KKTConditions
 from rmesh_nlp.optimize.constraints import Linearised
-from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import at_design
 
 
@@ -36,7 +35,7 @@ class ReducedConstraints:
         named, values = dict(zip(parts.problem.start, design, strict=True)), []
         for constraint, rows in zip(parts.problem.constraints, self.rows.places, strict=True):
             lower, upper = constraint.bounds
-            upper = float(upper if is_number(upper) else at_design(upper, named))
+            upper = at_design(upper, named)
             if (boundary := boundary_of(constraint)) is None:
                 each = reached[rows] * unit_of(constraint)
             else:

@@ -14,7 +14,6 @@ Dempe, *Foundations of Bilevel Programming* (2002).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,11 +22,12 @@ from rmesh_nlp.errors import expect, located, unknown
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.problem import MPCC, _column
 from rmesh_nlp.optimize.nlp import NLP, Symbolic
+from rmesh_nlp.settings import ByName
 
 _KEYS = ("x", "f", "g", "p", "lbx", "ubx", "lbg", "ubg")
 
 
-def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Symbolic) -> MPCC:
+def bilevel(upper: ByName, lower: ByName, *, variables: Symbolic) -> MPCC:
     """Write the KKT conditions of a lower-level NLP as constraints and complementarity pairs.
 
     Parameters
@@ -102,7 +102,7 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
     )  # fmt: skip
 
 
-def _level(name: str, level: Mapping[str, Any], p: list[Symbolic]) -> MPCC:
+def _level(name: str, level: ByName, p: list[Symbolic]) -> MPCC:
     """One level, checked, as a program without pairs; its parameters are all that it does not choose."""
     with located(name):
         for key in level:

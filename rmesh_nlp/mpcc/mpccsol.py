@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -26,6 +25,7 @@ from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import ByName, Values
 
 _COLUMNS = ["f", "g", "G", "H"]
 _KEYS = ("x", *_COLUMNS, "p")
@@ -89,7 +89,7 @@ class MPCCFunction(ca.Function):
             _alive[id(solve)] = solve
         return answer
 
-    def stats(self) -> dict[str, Any]:
+    def stats(self) -> Values:
         """Status, label, residuals and counts of the last solve; with the keys of nlpsol that apply."""
         result = self._solve.result
         if result is None:
@@ -106,7 +106,7 @@ class _Solve(PythonFunction):
     """The solver as a callback on numbers."""
 
     def __init__(
-        self, name: str, mpcc: MPCC, n_g: int, options: Options, error_on_fail: bool, own: dict[str, Any]
+        self, name: str, mpcc: MPCC, n_g: int, options: Options, error_on_fail: bool, own: Values
     ) -> None:
         self._mpcc, self._name, self._options, self._error_on_fail = mpcc, name, options, error_on_fail
         sums = {"gamma": _COLUMNS}
@@ -155,15 +155,13 @@ class _Solve(PythonFunction):
 
     def _made(self, *bounds: bytes) -> MPCCSolver:
         """The solver for these bounds; CasADi's derivatives are shared with those before."""
-        values: dict[str, Any] = dict(zip(_BOUNDS, map(np.frombuffer, bounds), strict=True))
+        values: Values = dict(zip(_BOUNDS, map(np.frombuffer, bounds), strict=True))
         solver = MPCCSolver(replace(self._mpcc, **values), self._options)
         self._mpcc = replace(self._mpcc, derivatives=solver.nlps.lifted.base)
         return solver
 
 
-def mpccsol(
-    name: str, plugin: str, problem: Mapping[str, Any], options: Mapping[str, Any] | None = None
-) -> MPCCFunction:
+def mpccsol(name: str, plugin: str, problem: ByName, options: ByName | None = None) -> MPCCFunction:
     """Return a solver of ``min f, lbg <= g <= ubg, 0 <= G _|_ H >= 0`` as ``nlpsol`` does for NLPs.
 
     Parameters
@@ -199,7 +197,7 @@ def mpccsol(
     ipopt = {key.removeprefix("ipopt."): settings.pop(key) for key in dotted}
     settings["ipopt"] = {**settings.get("ipopt", {}), **ipopt}
     changed = Options().having({**settings, "relaxation": plugin})
-    parts: dict[str, Any] = {key: problem.get(key) for key in _KEYS}
+    parts: Values = {key: problem.get(key) for key in _KEYS}
     given = MPCC(**parts)
     for key, places in zip("GH", pairs.T, strict=True):
         parts[key] = ca.vertcat(getattr(given, key), *(given.x[int(place)] for place in places))

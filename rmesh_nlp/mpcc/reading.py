@@ -23,6 +23,7 @@ from rmesh_nlp.mpcc.names import named
 from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals
+from rmesh_nlp.settings import Values
 
 _OBJECTIVES = ("augmented_objective_fun", "objective_fun")
 _BOUNDS = {"lbx": ("lbw", -np.inf), "ubx": ("ubw", np.inf), "lbg": ("lbg", 0.0), "ubg": ("ubg", 0.0)}
@@ -173,7 +174,7 @@ def read_nosbench(path: Path) -> Problem:
     x0, p0 = (np.ravel(_numbers(path, data, name, default)) for name, default in (("w0", None), ("p0", ())))
     kind = kind_of(*functions.values())
     w, p = kind.sym("w", x0.size), kind.sym("p", p0.size)
-    columns: dict[str, Any] = {}
+    columns: Values = {}
     for key, function in functions.items():
         try:
             columns[key] = function.call([w, p][: function.n_in()])[0]
@@ -184,7 +185,7 @@ def read_nosbench(path: Path) -> Problem:
     return Problem(path.stem, MPCC(x=w, p=p, **columns), x0, p0)
 
 
-def _function(path: Path, data: dict[str, Any], name: str) -> ca.Function:
+def _function(path: Path, data: Values, name: str) -> ca.Function:
     text = data.get(name)
     if not isinstance(text, str) or not text:  # of an empty text CasADi makes no Function
         raise ValueError(f"{path}: the field {name} is missing or no serialised Function")
@@ -194,7 +195,7 @@ def _function(path: Path, data: dict[str, Any], name: str) -> ca.Function:
         raise ValueError(f"{path}: the field {name} is no serialised Function: {error}") from error
 
 
-def _numbers(path: Path, data: dict[str, Any], name: str, default: ArrayLike | None) -> Array:
+def _numbers(path: Path, data: Values, name: str, default: ArrayLike | None) -> Array:
     """Numbers; JSON has no infinity, so null, "inf" and numbers from 1e20 on stand for that of a bound."""
     given = data.get(name)
     given = default if given in (None, []) else given

@@ -6,12 +6,13 @@ CasADi symbols, because loads move with the nodes and must be differentiated.
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from numbers import Real
-from typing import ParamSpec, TypeAlias, TypeGuard, TypeVar
+from typing import Any, ParamSpec, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -19,10 +20,14 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.evaluation import Array, Expression, is_finite
+from rmesh_nlp.settings import real
 from rmesh_nlp.vectorised import columnwise
 
 PositionFunction = Callable[[Expression, Expression], Expression]
-Coefficient: TypeAlias = float | ca.SX | PositionFunction
+Parameter: TypeAlias = float | ca.SX
+"""A number, or an expression of design variables."""
+
+Coefficient: TypeAlias = Parameter | PositionFunction
 """A number, an expression of design variables, or a function of position (x, y), which may depend on them."""
 
 OPEN = {"allow_free": True}
@@ -62,14 +67,8 @@ NOT_SYMBOLIC = (
 def at(coefficient: Coefficient, x: Expression, y: Expression) -> Expression:
     """Value of a coefficient at a point; a ValueError says what to use instead of branches and ``math``."""
     value = _called(coefficient, x, y) if callable(coefficient) else coefficient
-    if isinstance(x, ca.SX | ca.MX):
-        is_one = isinstance(value, Real) or getattr(value, "shape", None) in ((), (1,), x.shape)
-        try:
-            ca.densify(value)
-        except NotImplementedError:  # for CasADi it is no number
-            is_one = False
-        if not is_one:
-            raise BadInputError(f"one number is needed, got {one_line(repr(value))[:60]}")
+    if isinstance(x, ca.SX | ca.MX) and getattr(value, "shape", None) != x.shape:
+        return real("a coefficient", value)
     return value
 
 
@@ -136,9 +135,36 @@ def as_function(coefficient: Coefficient) -> ca.Function:
     return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))], OPEN)
 
 
+def as_tuple(value: Any) -> tuple[Any, ...]:
+    """One thing alone as a tuple of one."""
+    is_single = isinstance(value, (str, ca.SX)) or callable(value) or getattr(value, "shape", None) == ()
+    several = isinstance(value, Iterable) and not is_single
+    return tuple(value) if several else (value,)
+
+
+def numeric(name: str, value: Any, or_none: bool = False) -> Any:
+    """A coefficient with a number of any type as a float; a BadInputError for what is none."""
+    is_given = callable(value) or isinstance(value, ca.SX) or (or_none and value is None)
+    return value if is_given else real(name, value)
+
+
+def each(name: str, values: Any, or_none: bool = False) -> tuple[Any, ...]:
+    """Several coefficients, or one alone."""
+    return tuple(numeric(name, value, or_none) for value in as_tuple(values))
+
+
+def convert(part: Any) -> None:
+    """Make fields of a frozen dataclass numeric, as far as their types are numbers or coefficients."""
+    for field in fields(part):
+        value, kind = getattr(part, field.name), str(field.type)
+        if re.search("float|Parameter|Coefficient", kind) and not (value is None and kind.endswith("None")):
+            to = each if "tuple" in kind else numeric
+            object.__setattr__(part, field.name, to(field.name, value, "None" in kind))
+
+
 def is_number(coefficient: Coefficient | None) -> TypeGuard[float]:
     """Whether a coefficient is a number."""
-    return not (coefficient is None or callable(coefficient) or isinstance(coefficient, ca.SX))
+    return isinstance(coefficient, Real)
 
 
 def is_nonzero(coefficient: Coefficient) -> bool:
@@ -160,6 +186,7 @@ class PiecewiseLinear:
     y: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        convert(self)
         got = f"got x={self.x}, y={self.y}"
         if len(self.x) != len(self.y) or len(self.x) < 2:
             raise BadInputError(f"a piecewise-linear function needs 2 or more points, {got}")

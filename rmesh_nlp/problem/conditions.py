@@ -13,17 +13,10 @@ from skfem import MeshTri
 from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.evaluation import ROUNDING, largest_side
 from rmesh_nlp.meshes.geometry import nodes_of
-from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
+from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, as_tuple, convert
 from rmesh_nlp.settings import Checked, Limit
 
 T = TypeVar("T")
-
-
-def as_tuple(value: Any) -> tuple[Any, ...]:
-    """One thing alone as a tuple of one."""
-    is_single = isinstance(value, (str, ca.SX)) or callable(value)
-    several = isinstance(value, Iterable) and not is_single
-    return tuple(value) if several else (value,)
 
 
 @dataclass(frozen=True)
@@ -34,7 +27,7 @@ class OnBoundary:
     value: tuple[Coefficient | None, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "value", as_tuple(self.value))
+        convert(self)
 
 
 class Traction(OnBoundary):
@@ -86,7 +79,7 @@ class PointLoad(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "force", as_tuple(self.force))
+        convert(self)
 
 
 @dataclass(frozen=True)

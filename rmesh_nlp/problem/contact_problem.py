@@ -19,7 +19,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import named
 from rmesh_nlp.meshes.geometry import counter_clockwise, edge_keys, lengths, named_by_user
 from rmesh_nlp.problem.checks import check, check_names, check_pairs
-from rmesh_nlp.problem.conditions import Dirichlet, LoadStep, PointLoad, Traction, as_tuple, changed
+from rmesh_nlp.problem.coefficients import as_tuple
+from rmesh_nlp.problem.conditions import Dirichlet, LoadStep, PointLoad, Traction, changed
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
 from rmesh_nlp.problem.laws import Law

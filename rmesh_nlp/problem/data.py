@@ -13,8 +13,8 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
-from rmesh_nlp.problem.coefficients import Coefficient, on_points
-from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, LoadStep, PointLoad, Traction, as_tuple
+from rmesh_nlp.problem.coefficients import Coefficient, as_tuple, on_points
+from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, LoadStep, PointLoad, Traction
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion

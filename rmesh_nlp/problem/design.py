@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property
-from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -18,8 +17,14 @@ import numpy as np
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Expression, is_finite, is_pair
 from rmesh_nlp.expressions import FUNCTIONS
-from rmesh_nlp.problem.coefficients import POSITION, Coefficient, PositionFunction, at, once
-from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.problem.coefficients import (
+    POSITION,
+    Coefficient,
+    PositionFunction,
+    at,
+    convert,
+    once,
+)
 
 RESERVED = ("x", "y", "pi", "inf", "nan", *FUNCTIONS)
 """Names that expressions of position have already."""
@@ -89,7 +94,7 @@ class Shape:
 
     def __post_init__(self) -> None:
         _check(self)
-        require(len(as_tuple(self.motion)) == 2, "motion", "have 2 components", self.motion)
+        require(len(self.motion) == 2, "motion", "have 2 components", self.motion)
 
     @property
     def symbol(self) -> ca.SX:
@@ -114,25 +119,24 @@ class Constraint:
     bounds: tuple[float, Any]
 
     def __post_init__(self) -> None:
-        what, pair = f"the bounds of {str(self.value)!r} must", as_tuple(self.bounds)
-        if len(pair) != 2 or not all(isinstance(bound, (Real, ca.SX)) for bound in pair):
+        convert(self)
+        what, pair = f"the bounds of {str(self.value)!r} must", self.bounds
+        if len(pair) != 2:
             raise BadInputError(f"{what} be two numbers, got {self.bounds!r}", "bounds")
         if isinstance(pair[1], ca.SX):
             return
-        lower, upper = map(float, pair)
+        lower, upper = pair
         if not (lower <= upper and lower < np.inf and upper > -np.inf and np.isfinite([lower, upper]).any()):
             raise BadInputError(f"{what} increase, one of them finite, got {[lower, upper]}", "bounds")
-        object.__setattr__(self, "bounds", (lower, upper))
 
 
 def _check(variable: DesignVariable | Shape) -> None:
+    convert(variable)
     name, start, bounds = variable.name, variable.start, variable.bounds
     if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
         raise BadInputError(f"a design variable needs a name of its own such as 'h0', got {name!r}", "name")
     if not (is_pair(bounds) and bounds[0] < bounds[1]):
-        said = np.array(bounds).tolist()
-        raise BadInputError(f"the bounds of {name!r} must be finite and increase, got {said}", "bounds")
-    object.__setattr__(variable, "bounds", tuple(bounds))
+        raise BadInputError(f"the bounds of {name!r} must be finite and increase, got {[*bounds]}", "bounds")
     if not (is_finite(start) and bounds[0] <= start <= bounds[1]):
         raise BadInputError(
             f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}", "start"

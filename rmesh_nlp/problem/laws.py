@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
@@ -15,8 +14,7 @@ from skfem.models.elasticity import lame_parameters
 from rmesh_nlp.display import describe
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, Expression, is_finite
-from rmesh_nlp.problem.coefficients import Coefficient, is_number
-from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.problem.coefficients import Coefficient, Parameter, convert, is_number, numeric
 from rmesh_nlp.settings import Number, check_positive
 
 YOUNGS = 100
@@ -153,11 +151,12 @@ class Laplace(Law):
     """
 
     source: Coefficient = 0.0
-    conductivity: float | ca.SX = 1.0
+    conductivity: Parameter = 1.0
     axisymmetric: bool = False
     components: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
+        convert(self)
         if is_number(self.conductivity):
             check_positive(conductivity=self.conductivity)
 
@@ -196,12 +195,13 @@ class Elastic(Law):
         Force per volume, one entry per displacement component; zero by default.
     """
 
-    lame_lambda: float | ca.SX
-    lame_mu: float | ca.SX
+    lame_lambda: Parameter
+    lame_mu: Parameter
     body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0)
     components: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
+        convert(self)
         if is_number(self.lame_mu) and is_number(self.lame_lambda):
             a, mu = self.lame_lambda, self.lame_mu
             if not (is_finite([a, mu]) and mu > 0 and a + 2 * mu > 0 and self.in_plane_lambda + mu > 0):
@@ -210,20 +210,20 @@ class Elastic(Law):
             if mu < 0.5 and a > YOUNGS * mu:
                 said = f"lambda={a:g}, mu={mu:g} are Lamé coefficients: Young's modulus and Poisson's ratio"
                 warnings.warn(f"{said} go to {type(self).__name__}.from_young", stacklevel=3)
-        require(len(as_tuple(self.body_force)) == 2, "body_force", "have 2 components", self.body_force)
+        require(len(self.body_force) == 2, "body_force", "have 2 components", self.body_force)
 
     @classmethod
     def from_young(
         cls: type[E],
-        young: float | ca.SX,
-        poisson: float | ca.SX,
+        young: Parameter,
+        poisson: Parameter,
         body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0),
     ) -> E:
         """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
-        if not isinstance(young, ca.SX):
+        young, poisson = numeric("young", young), numeric("poisson", poisson)
+        if is_number(young):
             Number().check("young", young)
-        is_ratio = isinstance(poisson, ca.SX) or (isinstance(poisson, Real) and -1 < float(poisson) < 0.5)
-        require(is_ratio, "poisson", "lie between -1 and 0.5", poisson)
+        require(not is_number(poisson) or -1 < poisson < 0.5, "poisson", "lie between -1 and 0.5", poisson)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # these are Lamé coefficients
             lame_lambda, lame_mu = lame_parameters(young, poisson)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ import numpy as np
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.problem.conditions import as_tuple
-from rmesh_nlp.settings import Checked, Part, check_positive
+from rmesh_nlp.problem.coefficients import as_tuple, convert, each
+from rmesh_nlp.settings import Checked, Part, real
 
 BY_BARRIER = "by auto, and with a regularisation: only positive"
 """What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
@@ -31,9 +31,9 @@ class Relative:
     fraction: float
 
     def __post_init__(self) -> None:
-        check_positive(relative=self.fraction)
-        must = "be a part of the shortest edge at the node, at most 1"
-        require(self.fraction <= 1, "relative", must, self.fraction)
+        convert(self)
+        must = "be a positive part of the shortest edge at the node, at most 1"
+        require(0 < self.fraction <= 1, "relative", must, self.fraction)
 
 
 @dataclass(frozen=True)
@@ -79,17 +79,16 @@ class Motion(Checked):
 
     def __post_init__(self) -> None:
         if self.delta is not None and not isinstance(self.delta, Relative):
-            given = as_tuple(self.delta)
+            given = each("delta", self.delta)
             pair = given * 2 if len(given) == 1 else given
-            is_pair = len(pair) == 2 and all(isinstance(value, Real) for value in pair)
-            require(is_pair, "delta", "be a number, two numbers, Relative or None", self.delta)
+            require(len(pair) == 2, "delta", "be a number, two numbers, Relative or None", self.delta)
             is_width = pair == (0, 0) or all(0 < value < np.inf for value in pair)
             require(is_width, "delta", "be positive and finite, or 0", self.delta)
-            object.__setattr__(self, "delta", (float(pair[0]), float(pair[1])))
+            object.__setattr__(self, "delta", pair)
         super().__post_init__()
-        angle = self.min_angle
-        is_angle = isinstance(angle, Real) and 0 <= angle < 60
-        require(is_angle, "min_angle", "be at least 0 and less than 60 degrees", angle)
+        angle = real("min_angle", self.min_angle)
+        require(0 <= angle < 60, "min_angle", "be at least 0 and less than 60 degrees", angle)
+        object.__setattr__(self, "min_angle", angle)
         for name in RULES:
             places = as_tuple(getattr(self, name))
             for place in places:

@@ -16,14 +16,17 @@ from rmesh_nlp.problem.coefficients import (
     OPEN,
     POSITION,
     Coefficient,
+    Parameter,
     PiecewiseLinear,
     PositionFunction,
     at,
+    convert,
+    each,
     evaluated,
     is_number,
+    numeric,
     on_points,
 )
-from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.friction import Friction
 from rmesh_nlp.problem.surfaces import Centre, Vector, above, gradient, minus, off_circle, off_line, unit
 from rmesh_nlp.settings import check_positive
@@ -113,9 +116,9 @@ class Obstacle:
     other: str = ""
 
     def __post_init__(self) -> None:
+        convert(self)
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
             object.__setattr__(self, "kinks", self.offset.kinks)
-        object.__setattr__(self, "normal", as_tuple(self.normal))
         length = np.linalg.norm(self.normal) if is_finite(self.normal) else np.nan
         if not abs(length - 1) <= 1e-12:
             raise BadInputError(f"the contact normal {self.normal} has length {length}, not 1", "normal")
@@ -129,7 +132,6 @@ class Obstacle:
             if (given := getattr(self, name)) is None:
                 continue
             require(is_pair(given), name, "be two finite numbers", given)
-            object.__setattr__(self, name, tuple(map(float, given)))
             if len(self.normal) == 1 or self.boundary is Place.INTERIOR:
                 raise BadInputError("a tool needs a problem with two displacement components", name)
             if self.other:
@@ -168,9 +170,9 @@ class Obstacle:
         coulomb : float or function of position
             Coulomb's coefficient, without unit; 0 by default.
         """
-        n = unit(normal)
-        require(len(as_tuple(point)) == 2, "point", "have 2 components", point)
-        return cls(boundary, n, partial(off_line, n, point), friction=friction, coulomb=coulomb)
+        n, place = unit(normal), each("point", point)
+        require(len(place) == 2, "point", "have 2 components", point)
+        return cls(boundary, n, partial(off_line, n, place), friction=friction, coulomb=coulomb)
 
     @classmethod
     def graph(
@@ -228,7 +230,7 @@ class Obstacle:
         cls,
         boundary: str,
         centre: Centre,
-        radius: float | ca.SX,
+        radius: Parameter,
         *,
         inside: bool = False,
         friction: Coefficient = 0.0,
@@ -254,13 +256,14 @@ class Obstacle:
         coulomb : float or function of position
             Coulomb's coefficient, without unit; 0 by default.
         """
+        radius = numeric("radius", radius)
         if is_number(radius):
             check_positive(radius=radius)
-        pair = as_tuple(centre)
-        is_place = len(pair) == 2 and is_finite([value for value in pair if is_number(value)])
-        require(is_place, "centre", "be two finite numbers", centre)
+        pair = each("centre", centre)
+        finite = is_finite([value for value in pair if is_number(value)])
+        require(finite and len(pair) == 2, "centre", "be two finite numbers", centre)
         sign = -1.0 if inside else 1.0
-        return cls.curve(boundary, partial(off_circle, centre, radius, sign), friction, coulomb)
+        return cls.curve(boundary, partial(off_circle, pair, radius, sign), friction, coulomb)
 
     @classmethod
     def pair(
@@ -288,7 +291,8 @@ class Obstacle:
         coulomb : float or function of position
             Coulomb's coefficient, without unit; 0 by default.
         """
-        gap = partial(minus, interference) if callable(interference) else 0.0 - interference
+        gap = numeric("interference", interference)
+        gap = partial(minus, gap) if callable(gap) else 0.0 - gap
         return cls(first, offset=gap, friction=friction, coulomb=coulomb, other=second)
 
     @classmethod

@@ -9,17 +9,18 @@ import numpy as np
 
 from rmesh_nlp.errors import require
 from rmesh_nlp.evaluation import Expression, is_pair
-from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, PositionFunction, at
+from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, Parameter, PositionFunction, at, each
 
 Vector = tuple[float, float]
-Centre = tuple[float | ca.SX, float | ca.SX]
+Centre = tuple[Parameter, Parameter]
 
 
 def unit(normal: Vector) -> Vector:
     """The vector of length 1 in a direction; a BadInputError if it is none."""
-    require(is_pair(normal) and np.any(normal), "normal", "be a non-zero vector", normal)
-    length = float(np.hypot(*normal))
-    return normal[0] / length, normal[1] / length
+    n = each("normal", normal)
+    require(is_pair(n) and np.any(n), "normal", "be a non-zero vector", normal)
+    length = float(np.hypot(*n))
+    return n[0] / length, n[1] / length
 
 
 def off_line(n: Vector, point: Centre, x: Expression, y: Expression) -> Expression:
@@ -32,9 +33,7 @@ def above(height: Coefficient, x: Expression, y: Expression) -> Expression:
     return y - at(height, x, y)
 
 
-def off_circle(
-    centre: Centre, radius: float | ca.SX, sign: float, x: Expression, y: Expression
-) -> Expression:
+def off_circle(centre: Centre, radius: Parameter, sign: float, x: Expression, y: Expression) -> Expression:
     """Distance from a circle, negative on the other side of it; outside is positive for a sign of 1."""
     return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
 

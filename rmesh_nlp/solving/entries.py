@@ -340,7 +340,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "`converges`, and where asked for `lower`, `upper` and whether they are `guaranteed` "
               "([how](accuracy.md)); after other formulations than `adaptive` of the energy and of contact "
               "forces, on the final mesh."),
-        Entry("meshes", list[dict[str, Any]], "Of `adaptive`: `nodes`, `seconds` so far and `quantities` "
+        Entry("meshes", list[Values], "Of `adaptive`: `nodes`, `seconds` so far and `quantities` "
               "like `estimates`, mesh by mesh."),
         Entry("steps", list[dict[str, dict[str, Number]]],
               "With load steps: what each contact boundary carries after each."),

@@ -20,7 +20,7 @@ from rmesh_nlp.io.records import Record, Records
 from rmesh_nlp.io.results import RECORDS, TABLES, Results
 from rmesh_nlp.meshes.reading import FORMATS
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.problem.coefficients import as_tuple
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.settings import ByName, Values, from_texts
 from rmesh_nlp.solving.formulation import check_taken, checked, taken

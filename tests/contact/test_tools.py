@@ -196,12 +196,6 @@ REFUSED = {
         pressed(replace(PUNCH, force=(0.0, FORCE)))
     ),
     "translation of the tool on 'top'": lambda: pressed(replace(PUNCH, force=(0.0, -FORCE), move="xy")),
-    # it sticks to one node, and products of forces and gaps end in no number
-    "tool on 'top': the body can slide": lambda: ContactSolver(
-        pressed(
-            replace(rm.Obstacle.circle("top", (1.0, 11.0), 10.0, friction=5.0), force=(2, -30), move="xy")
-        )
-    ),
     "meets one such node at most": lambda: replace(
         pressed(TOOLS["roller"]), dirichlet=("bottom", "left", "right")
     ),
