@@ -37,6 +37,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rmesh_nlp.assessment.contact_results import contact_results
+from rmesh_nlp.assessment.energy import shape_integrals
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.equilibration import Guess, corrected
 from rmesh_nlp.certificate.fields import of_displacement
@@ -48,7 +49,7 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.expressions import Expression
-from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
+from rmesh_nlp.fem.contact_pressure import contact_stresses, recovered
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.pressure import contact_on
@@ -57,8 +58,11 @@ from rmesh_nlp.fem.stress import strain_energies
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.problem.switches import switches
 from rmesh_nlp.settings import Values
 
 ENERGY = "energy"
@@ -220,8 +224,8 @@ class Quantity(NamedTuple):
     """A quantity on one mesh.
 
     ``dual`` (components, nodes) is the displacement that says what residuals are worth: the solution itself
-    where no other does. ``part`` and ``weights`` (nodes,) are those of an integral of pressure; the work of
-    ``load``, on edges and on tools, is a linear quantity.
+    where no other does. ``part`` and ``weights`` (nodes,) are those of an integral of pressure, of which
+    ``rest`` is beyond them; the work of ``load``, on edges and on tools, is a linear quantity.
     """
 
     value: float
@@ -229,6 +233,7 @@ class Quantity(NamedTuple):
     load: tuple[Array, Array] | None = None
     part: ContactSet | None = None
     weights: Array = np.zeros(0)
+    rest: float = 0.0
 
 
 def split(text: str) -> tuple[str, str, str]:
@@ -255,16 +260,32 @@ def check(text: str, problem: ContactProblem) -> None:
         load_of(text, problem)
 
 
+def pressure_integral(
+    space: DisplacementSpace, nodes: Array, part: ContactSet, weight: Coefficient, force: Array
+) -> tuple[float, float, Array]:
+    """Integral of the pressure times a weight, what of it an interpolant would lack, and that (nodes,).
+
+    An interpolant does not see where a weight jumps.
+    """
+    (on,), (weights,) = recovered(space, nodes, part, force), space.interpolant(weight, nodes)
+    value = interpolated = float(on.nodal @ weights)
+    if switches(weight) and len(on.cells) == 2:
+        edges = Body(space.problem, nodes).edges_of(part.obstacle)
+        value = float(np.sum(on.means[edges.ends] * shape_integrals(edges, weight).value))
+    return value, value - interpolated, weights
+
+
 def _quantity(text: str, on: OnMesh) -> Quantity:
     """A quantity by its text, see :func:`check`."""
     (kind, name, weight), space, nodes = split(text), on.space, on.nodes
     gap, push = np.zeros(space.contact_nodes.size), np.zeros(on.u.shape)
     if kind in ("resultant", "pressure"):
         part = contact_on(space, name)
-        (forces,) = nodal_forces(space, nodes, part, on.state.normal_force)
-        (weights,) = space.interpolant(Expression(weight), nodes)
+        value, rest, weights = pressure_integral(
+            space, nodes, part, Expression(weight), on.state.normal_force
+        )
         gap[part.rows] = -weights[part.nodes]
-        return Quantity(float(weights @ forces), on.dual(gap, push), None, part, weights)
+        return Quantity(value, on.dual(gap, push), None, part, weights, rest)
     if kind in RESULTS:
         results = contact_results(space, nodes, on.system, on.state)
         return Quantity(getattr(results[name], RESULTS[kind]), on.u)
@@ -345,7 +366,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         return system.normals @ assembled.of_displacement(u)[free]
 
     def estimate(text: str) -> Estimate:
-        computed, w, load, part, weights = _quantity(text, on)
+        computed, w, load, part, weights, rest = _quantity(text, on)
         if text == ENERGY:
             value = computed - gained * problem.has_energy  # else no energy is least
             return Estimate(value, gained, computed, defect**2, half=gained / 2)
@@ -378,7 +399,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             beyond = -solved.normal_force @ gap - value
             if slip.size:
                 value += (solved.tangential_force + follows) @ slip + on.work_of_bounds(w)
-            value += BETWEEN * beyond
+            value += BETWEEN * beyond + rest
         local = defect * np.sqrt(fields.energy(other))
         # by the best s of :func:`rmesh_nlp.certificate.forces.slope_bounds`
         half = 2 * np.sqrt(gained * np.sum(fields.energy(own))) if problem.has_energy else np.nan

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.assessment.energy import load_vector, shape_integrals
+from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.conditions import is_seen
@@ -21,6 +21,7 @@ from rmesh_nlp.certificate.estimates import (
     estimates,
     of_contact,
     of_tools,
+    pressure_integral,
     split,
 )
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds, within
@@ -30,14 +31,13 @@ from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.errors import BadInputError, expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.expressions import Expression
-from rmesh_nlp.fem.contact_pressure import contact_stresses, recovered
+from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion, Traction
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.switches import switches
 from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.outer import Outer
@@ -136,11 +136,8 @@ def bounded(
     bounds = dict[str, Bounds]()
     for text, part, weight in windows:
         if part.rows.size:  # not every gap is given
-            (on,) = recovered(own, nodes, own.contact_sets[part.number], final.equilibrium.normal_force)
-            value = float(on.nodal @ own.interpolant(weight, nodes)[0])
-            if switches(weight) and len(on.cells) == 2:  # an interpolant does not see a jump
-                edges = Body(problem, nodes).edges_of(part.obstacle)
-                value = float(np.sum(on.means[edges.ends] * shape_integrals(edges, weight).value))
+            forces, same = final.equilibrium.normal_force, own.contact_sets[part.number]
+            value = pressure_integral(own, nodes, same, weight, forces)[0]
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
             where = within(exact, after.lower, part, low) if is_known and not callable(weight) else None

@@ -58,6 +58,15 @@ def test_where_contact_ends_within_an_edge_the_place_is_part_of_the_error() -> N
     assert abs(force.value - FORCE) < force.error
 
 
+def test_weight_that_jumps_is_cut_where_it_jumps() -> None:
+    """As in bounds; both parts are the whole."""
+    left, right = (f"pressure(bottom, where(x {side} 0.62, 1, 0))" for side in "<>")
+    low, high, every = estimated(BODY, left, right, "resultant(bottom)")
+    bounds = rm.certify(rm.solve(BODY, "fixed"), quantities=(left,)).bounds
+    assert low.computed == pytest.approx(bounds[left].value, rel=1e-9)
+    assert low.value + high.value == pytest.approx(every.value, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_change_of_contact_is_part_of_the_error() -> None:
     """On the next mesh other nodes touch, and the correction alone is a third of the error."""
