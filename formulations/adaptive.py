@@ -39,7 +39,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.problem.coefficients import as_tuple
 from rmesh_nlp.problem.contact_problem import bisected, on_mesh
 from rmesh_nlp.settings import Part
 from rmesh_nlp.solving.assess import assess
@@ -176,10 +176,12 @@ class Adaptive(Wrapper):
                 places = on.ends(any(one.touching for one in likely))  # peaks are anywhere in contact
                 is_doubted = places.size > 0 and any(one.doubt > one.error / 3 for one in likely)
                 only_ends = worst <= 1 and is_doubted and not (self.guaranteed or only_ends)
-                if worst <= 1 and not only_ends:
-                    if grow := [text for text in wanted if not figures[text]["converges"]]:
-                        raise NotCertifiableError(f"{grow[0]} may have no limit on finer meshes")
+                grow = [text for text in wanted if not figures[text]["converges"]]
+                if worst <= 1 and not grow:
                     reached = replace(reached, status=Status.CONVERGED)
+                if worst <= 1 and not only_ends:
+                    if grow:
+                        raise NotCertifiableError(f"{grow[0]} may have no limit on finer meshes")
                     return
                 budget.check()
                 with budget.during("build"):
@@ -212,7 +214,9 @@ class Adaptive(Wrapper):
         except (NotCertifiableError, ProblemError) as error:
             reached = reached.having({"estimates_remark": (said := one_line(error))})
             why = f": {said}{'; errors are estimated without --guaranteed' * self.guaranteed}"
-        if self.relocates and reached.status is Status.CONVERGED:
+        if reached.status is Status.CONVERGED:  # a limit may have ended one mesh more
+            if not self.relocates:
+                return reached
             return monitor.run(self.inner, reached.outer, reached.q).having({"meshes": meshes})
-        lacks = f"The accuracy {self.accuracy:g} was not reached{why}." * (reached.status is Status.STALLED)
+        lacks = f"The accuracy {self.accuracy:g} was not reached{why}."
         return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)

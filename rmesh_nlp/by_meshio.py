@@ -80,6 +80,8 @@ def _by_meshio(path: Path, kind: str, copy: Path) -> meshio.Mesh:
             )
         elif said := UNREAD.search(text):
             raise BadInputError(f"{said[0]}: write CTRIA3 or CQUAD4, and GRID in the global system")
+        elif "\nENDDATA" not in text:
+            raise BadInputError("it has no line ENDDATA: add one at the end if it is whole")
         else:
             text = BEYOND.sub(r"\1", text)
         copy.write_text(f"BEGIN BULK\n{text}\nEND=\n", "utf-8")

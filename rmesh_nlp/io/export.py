@@ -47,7 +47,7 @@ QUADRATIC = {
 }
 """Formats of meshio that have quadratic triangles."""
 
-REFUSED = (meshio.ReadError, meshio.WriteError)
+REFUSED = (meshio.ReadError, meshio.WriteError, FileNotFoundError)
 """What meshio raises for a suffix, or a format, that it does not know."""
 
 
@@ -146,7 +146,8 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
         numbers.append(np.array(line_tags))
     cell_data = {"gmsh:physical": numbers, "gmsh:geometrical": numbers}
     target = meshio.Mesh(three(mesh.p), blocks, cell_data=cell_data, field_data=names)
-    target.write(path, file_format="gmsh22", binary=False)
+    with located(path, REFUSED):
+        target.write(path, file_format="gmsh22", binary=False)
 
 
 class Series:

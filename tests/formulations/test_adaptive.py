@@ -19,7 +19,8 @@ from formulations import adaptive
 from rmesh_nlp.certificate.estimates import Estimate
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.optimize.budget import Limits
+from rmesh_nlp.optimize.budget import Limits, StoppedError
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.report.curves import estimates_figure
 from rmesh_nlp.report.joined import estimate_rows
 from rmesh_nlp.report.style import Page
@@ -253,6 +254,14 @@ def test_end_of_contact_is_refined_alone_where_the_error_hangs_on_it(
     assert len(solution.details["meshes"]) == 2
     assert 0 < new.shape[1] < 20
     assert np.ptp(new, axis=1) == pytest.approx([0.4, 0.2], abs=0.2)
+
+    def late(*_: object) -> None:
+        raise StoppedError(Status.TIME_LIMIT)
+
+    monkeypatch.setattr(adaptive, "bisected", late)
+    solution = rm.solve(body, accuracy=0.5)
+    assert solution.success
+    assert len(solution.details["meshes"]) == 1
 
 
 def test_force_that_follows_from_the_load_takes_one_mesh(tmp_path: Path) -> None:
