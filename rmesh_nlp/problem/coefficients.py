@@ -144,8 +144,9 @@ def as_tuple(value: Any) -> tuple[Any, ...]:
 
 def numeric(name: str, value: Any, or_none: bool = False) -> Any:
     """A coefficient with a number of any type as a float; a BadInputError for what is none."""
-    is_given = callable(value) or isinstance(value, ca.SX) or (or_none and value is None)
-    return value if is_given else real(name, value)
+    if callable(value) or isinstance(value, ca.SX) or (or_none and value is None):
+        return value
+    return real(name, value)
 
 
 def each(name: str, values: Any, or_none: bool = False) -> tuple[Any, ...]:

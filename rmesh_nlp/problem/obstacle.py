@@ -260,8 +260,8 @@ class Obstacle:
         if is_number(radius):
             check_positive(radius=radius)
         pair = each("centre", centre)
-        finite = is_finite([value for value in pair if is_number(value)])
-        require(finite and len(pair) == 2, "centre", "be two finite numbers", centre)
+        is_place = len(pair) == 2 and is_finite([*filter(is_number, pair)])
+        require(is_place, "centre", "be two finite numbers", centre)
         sign = -1.0 if inside else 1.0
         return cls.curve(boundary, partial(off_circle, pair, radius, sign), friction, coulomb)
 

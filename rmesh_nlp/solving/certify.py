@@ -136,8 +136,8 @@ def bounded(
     bounds = dict[str, Bounds]()
     for text, part, weight in windows:
         if part.rows.size:  # not every gap is given
-            forces, same = final.equilibrium.normal_force, own.contact_sets[part.number]
-            value = pressure_integral(own, nodes, same, weight, forces)[0]
+            same = own.contact_sets[part.number]
+            value = pressure_integral(own, nodes, same, weight, final.equilibrium.normal_force)[0]
             is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
             low, high = force_bounds(exact, after.lower, part, weight)
             where = within(exact, after.lower, part, low) if is_known and not callable(weight) else None
