@@ -150,7 +150,7 @@ class _Solve(PythonFunction):
         if self._error_on_fail and not result.success:
             raise RuntimeError(f"{self._name}: {result.message}")
         lam_p = -self._slope(result.x, given["p"], 1, result.lam_g, result.lam_G, result.lam_H)
-        answers = {**vars(result), "lam_p": lam_p}
+        answers = {**vars(result), "lam_p": flat(lam_p)}
         return [np.ravel(answers[name])[: self.sizes[name]] for name in _OUTPUTS]
 
     def _made(self, *bounds: bytes) -> MPCCSolver:
