@@ -196,7 +196,7 @@ class Adaptive(Wrapper):
                     halved = [cKDTree(finer.p.T).query(places.T)[1]] * (not self.guaranteed)
                     around = np.bincount(problem.mesh.t.ravel(), np.tile(adds, 3))
                     if most.size < FEW * adds.size and np.max(around) > BULK * share[-1]:
-                        halved += [np.argmax(around)] * int(np.log2(np.clip(worst, 1, 64)))
+                        halved += [np.argmax(around)] * int(np.log2(np.clip(np.nan_to_num(worst), 1, 64)))
                     for near in halved:
                         finer = bisected(problem, finer, np.nonzero(np.isin(finer.t, near))[1])
                     is_known = number > 1 and nodes > LARGEST / 100  # that it narrows about like 1 / nodes

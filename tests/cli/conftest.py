@@ -25,6 +25,7 @@ Rmesh = Callable[..., Said]
 def rmesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Rmesh:
     """Runs a command line, and further arguments as they are, in an empty folder."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)  # output is not a screen's
 
     def run(line: str, *more: str) -> Said:
         capsys.readouterr()
